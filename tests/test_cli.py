@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import signal
@@ -297,3 +298,27 @@ print(held.wait())
     )
     assert (ended.returncode, ended.stdout) == (0, f"{EXIT_INTERRUPTED}\n")
     assert not (tmp_path / "port").is_symlink()
+
+
+@pytest.mark.skipif(
+    not hasattr(ctypes.CDLL(None) if os.name == "posix" else None, "mallopt"), reason="needs the memory of glibc"
+)
+def test_memory_that_arrays_leave_serves_the_next_ones() -> None:
+    """Handed back each time, the system clears it page by page for the next: a tenth of a ``replay``."""
+    counting = """
+import resource, sys
+import numpy as np
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        [np.ones(1 << 18) for _ in range(8)]
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+"""
+    beside = f"{counting}\nfaults(); print(faults())"
+    code = f"{counting}\nimport subprocess\nfrom imufield.cli.run import run\nrun(['devices', '--json'])\nfaults()"
+    script = f"{code}\nprint(); print(faults(), flush=True)\nsubprocess.run([sys.executable, '-c', {beside!r}], check=True)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=900)
+    own, of_child = map(int, done.stdout.split()[-2:])
+    # Of 40,960 pages that are written.
+    assert max(own, of_child) < 4096

@@ -65,7 +65,7 @@ class Outcome:
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: TextIO | None = None) -> None:
     """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
     file = file or sys.stdout
-    knows_unicode = (file.encoding or "").lower().startswith("utf")
+    knows_unicode = (file.encoding or "utf-8").lower().startswith("utf")
     if file.isatty() and knows_unicode:
         # Late, as laying out takes a tenth of a whole ``solve`` with it.
         from rich.text import Text
@@ -94,7 +94,7 @@ def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
 def summary(parameters: Parameters, outcome: Outcome | None = None, width: int = WIDTH) -> list[Line]:
     """Return the lines of the summary in that width; below 80 columns each axis has a line of its own."""
     calibration = parameters.calibration
-    lines = [*_heading(parameters), [], *_triad("Accelerometer", calibration, width)]
+    lines = [*_heading(parameters, width), [], *_triad("Accelerometer", calibration, width)]
     if calibration.gyroscope is not None:
         lines += [[], *_triad("Gyroscope", calibration, width), *_wrapped([(calibration.gyroscope.path, "dim")], width)]
     lines += [[], *_facts(calibration, width), [], *_residuals(parameters, width)]
@@ -125,7 +125,7 @@ def _aligned(rows: Sequence[Line], places: str, least: Sequence[int]) -> Iterato
         yield [(f"{words}{blank} " if place == "<" else f"{blank}{words} ", style) for (words, style), blank, place in cells]
 
 
-def _heading(parameters: Parameters) -> Iterator[Line]:
+def _heading(parameters: Parameters, width: int) -> Iterator[Line]:
     instrument, session = parameters.context.instrument, parameters.context.session
     who = " ".join(word for word in (instrument.model or instrument.driver or "IMU", instrument.serial_number) if word)
     low, high = session.temperature_degc
@@ -133,8 +133,8 @@ def _heading(parameters: Parameters) -> Iterator[Line]:
     if math.isfinite(low) and math.isfinite(high):
         facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
     facts.append(parameters.context.measured.replace("T", " ").replace("Z", " UTC"))
-    yield [(f"Calibration of {who}", "bold")]
-    yield [(" · ".join(facts), "dim")]
+    yield from _wrapped([(f"Calibration of {who}", "bold")], width)
+    yield from _wrapped([(" · ".join(facts), "dim")], width)
 
 
 class _TriadRows:

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
 import io
+import os
+import pty
+import re
 import shlex
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
@@ -15,6 +20,7 @@ from imufield.calibrate.model.result import Calibration, GyroscopeCalibration, Q
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.context import ClockFacts, Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.parameters.printed_numbers import columns
 from imufield.deliver.report.summary import Outcome, print_summary, summary_text
 from imufield.earth import choose_gravity
 from imufield.sentences import Sentences
@@ -221,30 +227,64 @@ def test_edited_file_is_said(full: Parameters) -> None:
     assert sentence("summary.edited") not in summary_text(full)
 
 
-def test_colours_on_a_terminal_only(full: Parameters) -> None:
-    terminal = Console(file=io.StringIO(), force_terminal=True, width=80, color_system="standard")
-    print_summary(full, console=terminal)
-    assert "\x1b[" in terminal.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO above
-    pipe = Console(file=io.StringIO(), width=200)
-    print_summary(full, console=pipe)
-    assert pipe.file.getvalue() == summary_text(full)  # type: ignore[attr-defined]  # it is the StringIO above
+def on_a_terminal(full: Parameters, monkeypatch: pytest.MonkeyPatch, columns: int) -> str:
+    """Return what is written to a terminal of that width."""
+    master, slave = pty.openpty()
+    # rich asks the program's own terminal for its width, and of a test there is none.
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm-256color")
+    with os.fdopen(master, "rb", buffering=0) as screen, ThreadPoolExecutor(1) as threads:
+        with os.fdopen(slave, "w", encoding="utf-8") as terminal:
+            # A terminal takes some kilobytes before it waits for a reader.
+            read = threads.submit(read_all, screen)
+            print_summary(full, file=terminal)
+        return read.result().decode().replace("\r\n", "\n")
+
+
+def read_all(screen: FileIO) -> bytes:
+    found = b""
+    with suppress(OSError):  # The other side has hung up.
+        while data := screen.read(1 << 16):
+            found += data
+    return found
+
+
+def test_colours_on_a_terminal_only(full: Parameters, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = on_a_terminal(full, monkeypatch, 80)
+    assert "\x1b[" in seen
+    pipe = io.StringIO()
+    print_summary(full, file=pipe)
+    assert pipe.getvalue() == summary_text(full) == without_colours(seen)
+
+
+def without_colours(seen: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", seen)
 
 
 def test_ascii_files_get_ascii(full: Parameters, tmp_path: Path) -> None:
     with (tmp_path / "log.txt").open("w", encoding="ascii") as file:
-        print_summary(full, console=Console(file=file))
+        print_summary(full, file=file)
     assert "+3.182 +-0.011" in (tmp_path / "log.txt").read_text(encoding="ascii")
 
 
-def test_a_narrow_window_has_every_number_in_a_line_of_its_own(full: Parameters) -> None:
-    console = Console(width=60, file=io.StringIO(), force_terminal=True, color_system=None, legacy_windows=False)
-    with console.capture() as capture:
-        print_summary(full, console=console)
-    lines = capture.get().splitlines()
-    assert max(map(len, lines)) <= 60
-    assert not any("…" in line for line in lines)
+@pytest.mark.parametrize("columns", [45, 60])
+def test_a_narrow_window_has_every_number_in_a_line_of_its_own(
+    full: Parameters, monkeypatch: pytest.MonkeyPatch, columns: int
+) -> None:
+    lines = without_colours(on_a_terminal(full, monkeypatch, columns)).splitlines()
+    assert max(map(len, lines)) <= columns
     numbers = [line.split() for line in summary_text(full).splitlines() if "±" in line and line.split()[0] in ("bias", "scale")]
     assert numbers
     for words in numbers:
         for place in (place for place, word in enumerate(words) if word == "±"):
             assert sum(" ".join(words[place - 1 : place + 2]) in line for line in lines) >= 1
+
+
+def test_names_of_two_columns_a_character_stand_in_line(
+    calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    """A Chinese character takes two columns of a terminal."""
+    named = replace(observations, name=("上", *observations.name[1:]))
+    rows = made(calibration, named, context).partition("Residual by position")[2].splitlines()[1:9]
+    bars = [columns(row[: re.search("[█▏▎▍▌▋▊▉]", row).start()]) for row in rows]
+    assert len({*bars}) == 1
