@@ -316,8 +316,18 @@ def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 """
     beside = f"{counting}\nfaults(); print(faults())"
-    code = f"{counting}\nimport subprocess\nfrom imufield.cli.run import run\nrun(['devices', '--json'])\nfaults()"
-    script = f"{code}\nprint(); print(faults(), flush=True)\nsubprocess.run([sys.executable, '-c', {beside!r}], check=True)"
+    script = f"""{counting}
+import contextlib, subprocess
+from imufield.cli import main
+
+sys.argv[1:] = ["devices", "--json"]
+with contextlib.suppress(SystemExit):
+    main()
+faults()
+print()
+print(faults(), flush=True)
+subprocess.run([sys.executable, "-c", {beside!r}], check=True)
+"""
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=900)
     own, of_child = map(int, done.stdout.split()[-2:])
     # Of 40,960 pages that are written.

@@ -18,6 +18,9 @@ from imufield.version import __version__
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
+_KEPT_BYTES = 1 << 27  # Of freed memory, for the next arrays: many blocks of a recording, of a few megabytes each.
+_MAPPED_BYTES = 1 << 25  # Of an array from which on it is mapped by itself: the most that glibc takes.
+
 
 def main() -> None:
     """Run the command line and leave with the exit code that docs/errors.md lists."""
@@ -37,6 +40,7 @@ def main() -> None:
             sys.stdout.write(f"imufield {__version__}\n")
             sys.stdout.flush()
             return
+    _keep_freed_memory()
     try:
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run
@@ -49,6 +53,23 @@ def main() -> None:
     # Files are closed where they are used: on the way out the collector need not go through all that there is.
     gc.freeze()
     sys.exit(code)
+
+
+def _keep_freed_memory() -> None:
+    """Keep freed memory for the next arrays, in this process and in those it starts: see mallopt(3).
+
+    By default it goes back to the system, which clears it page by page for the next array.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # Of glibc alone.
+    # Each with its number in malloc.h.
+    settings = (("MALLOC_TRIM_THRESHOLD_", -1, _KEPT_BYTES), ("MALLOC_MMAP_THRESHOLD_", -3, _MAPPED_BYTES))
+    for variable, number, size_bytes in settings:
+        if mallopt is not None and os.environ.setdefault(variable, str(size_bytes)) == str(size_bytes):
+            mallopt(number, size_bytes)
 
 
 def _open_closed_streams() -> None:

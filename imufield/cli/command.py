@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib
-import os
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from typing import Annotated, get_args, get_origin
 
 from imufield.cli.table import COMMANDS
 from imufield.commands.options.shared import Converted, Group, Option
 from imufield.dataclass import Field, dataclass, fields
 from imufield.progress import shown
-
-# Variable, its number in glibc's malloc.h, and bytes: blocks of a recording take a few megabytes.
-_KEPT = (("MALLOC_TRIM_THRESHOLD_", -1, 1 << 27), ("MALLOC_MMAP_THRESHOLD_", -3, 1 << 25))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,25 +47,12 @@ class Command:
     def run(self, values: Mapping[str, object], typed: frozenset[str]) -> int:
         """Run it with the values of its parameters, and the names of those that were typed; return the exit code."""
         module, _, function = self.work.rpartition(".")
-        _keep_freed_memory()
         # Packages that a command needs may be slow to import.
         with shown(self.name):
             code = getattr(importlib.import_module(f"imufield.commands.{module}"), function)(
                 _build(self.options, values, typed)
             )
         return code if type(code) is int else 0
-
-
-def _keep_freed_memory() -> None:
-    """Let what arrays leave serve the next ones, here and in processes started below: see mallopt(3).
-
-    By default the system takes it back each time, and clears it for the next array, page by page.
-    """
-    if sys.platform == "linux":
-        with suppress(AttributeError):  # Another C library has no such function.
-            for variable, setting, size_bytes in _KEPT:
-                os.environ[variable] = str(size_bytes)
-                ctypes.CDLL(None).mallopt(setting, size_bytes)
 
 
 def find_command(name: str) -> Command:

@@ -42,7 +42,6 @@ from imufield.sentences import Sentence, Sentences, printable, shell_word
 
 sentence = Sentences(__package__)
 
-_TABLE = f"an imported table (which also takes {TIME_UNIT})"  # That setting is none of the rows.
 DUMP_CHUNK_BYTES = 1 << 16  # Small beside a block of the recorder, large beside a call.
 
 
@@ -146,7 +145,8 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     )
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
-    protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label=_TABLE)
+    label = sentence("import_files.table_label", setting=TIME_UNIT)
+    protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label=label)
     began = _began(table.begin_s)
     with _whole_or_nothing(_new_session(options, protocol, table, began), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)

@@ -284,7 +284,7 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     lacking = [event for event in refusals if missing and (event.position or missing[0]) in missing]
     held = [event for event in lacking if event.position or event.reason in _SPOIL_DATA]
     only_moved = all(event.reason is RefusalCode.MOVED for event in held)
-    # Where the holds that moved would not be enough either, it is the other positions that lack.
+    # If the moved holds would not have been enough either, the positions never shown are what is missing.
     if not only_moved or len(observations) + len({event.position for event in held}) >= FEWEST_FOR_SCALE_AND_BIAS:
         _check_count(len(observations), held)
     if missing and len(observations) < FEWEST_FOR_SCALE_AND_BIAS and axes.error is None:

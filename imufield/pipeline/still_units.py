@@ -33,9 +33,9 @@ def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     if found.centre_raw is not None:
         said |= {"raw_zero": sentence("still_units.raw_zero", centre=[round(each) for each in found.centre_raw.tolist()])}
     guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
-    # A wrong unit makes gravity look small.
-    told = [] if "accelerometer" not in said else ["tables.no_gravity"]
-    assumptions = [each for each in table.assumptions if getattr(each, "key", "") not in told]
+    assumptions = table.assumptions
+    if "accelerometer" in said:  # A wrong unit makes gravity look small.
+        assumptions = tuple(each for each in assumptions if getattr(each, "key", "") != "tables.no_gravity")
     return replace(
         table,
         settings=table.settings | {f"{triad}_unit": unit for triad, unit in units.items()},

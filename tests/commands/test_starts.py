@@ -17,8 +17,8 @@ from imufield.cli.run import run
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
     *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
-    *("orjson", "difflib", "imufield.acquire.clock.can_clock", "imufield.calibrate.accelerometer.methods"),
-    *("imufield.calibrate.gyroscope.methods", "imufield.calibrate.temperature.fit"),
+    *("orjson", "difflib", "numpy.ma", "_strptime", "imufield.acquire.clock.can_clock"),
+    *("imufield.calibrate.accelerometer.methods", "imufield.calibrate.gyroscope.methods", "imufield.calibrate.temperature.fit"),
     *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.calibrate.moves", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
@@ -40,13 +40,15 @@ USED = {
     "plan": {"numpy"},
     "sessions .": {"numpy"},
     "import table.csv --rate-hz 125 -o imported": {*DECODING, "mcap.records", "tomli_w", "imufield.calibrate.gyroscope"},
-    "solve session": {*SOLVING, "rich"},
+    "solve session": SOLVING,
     "replay session": {*READING, "imufield.guide.lead.guide", "imufield.calibrate.gyroscope"},
     "export session/parameters.toml --to c -o calibration.h": {"numpy", "imufield.deliver.exports"},
     "export-data session --to csv -o samples.csv": {*READING, "orjson"},
     "apply session/parameters.toml session -o corrected.csv": {*READING, "orjson"},
-    "history session": {"numpy", "numpy.random", "concurrent.futures", "subprocess", "imufield.calibrate.gyroscope"},
-    "report session": {*SOLVING, "rich", "jinja2", "importlib.metadata", "imufield.calibrate.accelerometer.methods"},
+    "history session": {
+        *("numpy", "numpy.random", "concurrent.futures", "subprocess", "imufield.calibrate.gyroscope", "_strptime"),
+    },
+    "report session": {*SOLVING, "jinja2", "numpy.ma", "importlib.metadata", "imufield.calibrate.accelerometer.methods"},
 }
 
 

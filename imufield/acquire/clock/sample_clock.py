@@ -33,7 +33,7 @@ sentence = Sentences(__package__)
 
 _HALF_A_SAMPLE = 0.5
 _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where the instrument sends neither counter nor time.
-# Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
+# Share by which a stated rate may differ from the learned one before it is wrong: coarse time stamps learn badly.
 LARGEST_RATE_ERROR = 0.25
 # A step of a counter that puts a sample so far ahead of its arrival is none: above what waits in buffers, and drift.
 _DISPROVED_S = 2.0

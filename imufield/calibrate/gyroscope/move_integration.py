@@ -114,14 +114,15 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
     coning = 0.5 * np.linalg.det(A) * M.T @ (slots.area.T - skew(M @ b) @ (T * turn - 2 * slots.moment.T))
     by_rate = (np.abs(turn), turn * (turn / np.maximum(T, SHORTEST_SLOT_S)) ** 2)
+    # Rows: turn 0 to 2, force 3 to 5, duration 6, coning 7 to 9, what goes with the rate 10 to 15.
     integrals, to_vectors = np.vstack([turn, force, T, coning, *by_rate]), np.column_stack([A, -H, -b, np.eye(3)])
     vectors = (to_vectors @ integrals[:10]).T
     running = running_turns(exponential(vectors), moves.first)
     V = product(matrix(running), right_jacobian(vectors)).reshape(-1, 9).T
     end = running[moves.first + moves.length - 1]
     R = matrix(end)
-    sums = _sums(V, integrals, moves).reshape(-1, 3, 48)
-    at_end = (np.swapaxes(R, 1, 2) @ sums).reshape(-1, 3, 3, 16)
+    sums = _sums(V, integrals, moves).reshape(-1, 3, 3 * len(integrals))
+    at_end = (np.swapaxes(R, 1, 2) @ sums).reshape(-1, 3, 3, len(integrals))
     by_turn, by_force = (at_end[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
     duration = at_end[..., 6]
 

@@ -227,12 +227,13 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
 def coarse_sentences(gyroscope: GyroscopeCalibration, remedy: Sentence | None = None) -> tuple[Sentence, ...]:
     """Return what is too uncertain for a good verdict, of one session or of several as one; nothing if nothing is."""
     # NaN where a number is not observable, which is said elsewhere.
-    scale = 1e6 * np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale))
-    skew = 1e3 * np.nan_to_num(gyroscope.sigma.misalignment_rad).max(axis=1)
-    told = [{"remedy": remedy or sentence("result.more_positions"), "axis": AXES[sigma.argmax()]} for sigma in (scale, skew)]
+    scale_ppm = 1e6 * np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale))
+    skew_mrad = 1e3 * np.nan_to_num(gyroscope.sigma.misalignment_rad).max(axis=1)
+    remedy = remedy or sentence("result.more_positions")
+    scale_axis, skew_axis = AXES[scale_ppm.argmax()], AXES[skew_mrad.argmax()]
     return (
-        *_beyond("result.coarse", float(scale.max()), _SCALE_SIGMA_LIMIT_PPM, **told[0]),
-        *_beyond("result.skewed", float(skew.max()), _MISALIGNMENT_SIGMA_LIMIT_MRAD, **told[1]),
+        *_beyond("result.coarse", float(scale_ppm.max()), _SCALE_SIGMA_LIMIT_PPM, remedy=remedy, axis=scale_axis),
+        *_beyond("result.skewed", float(skew_mrad.max()), _MISALIGNMENT_SIGMA_LIMIT_MRAD, remedy=remedy, axis=skew_axis),
     )
 
 

@@ -13,9 +13,10 @@ _MORE = 5  # And so many more: of few samples, one and two differ by chance.
 # A whole turn by hand beyond 120 deg/s, the smallest range there is, takes less. A table holds its rate for longer, and so does
 # a slow turn that saturates: the other axes tell them apart.
 _LONGEST_TURN_S = 3.0
-# Between the quartiles of the other axes on a table, at most: of the largest range of rates, or one step of the output.
-_STEADY = 0.01
-_HOLE_S = 0.25  # Within what is held: noise may reach the next code, and quiet slots are joined into cells of 0.1 s.
+# Largest spread of another axis on a table, between its quartiles: this share of the largest range of rates, or one step of the
+# output where that is more.
+_STEADY_SHARE = 0.01
+_HOLE_S = 0.25  # A longer one ends a stretch: noise may reach the next code, and quiet slots are joined into cells of 0.1 s.
 
 
 class LargestOutputs:
@@ -61,7 +62,7 @@ def without_table_rates(
     # Without ``numpy.unique``, which imports NumPy's masked arrays.
     steps = np.diff(np.sort(plateau[np.isfinite(plateau)]))
     step = steps.min(initial=np.inf, where=steps > 0)
-    most = max(_STEADY * np.ptp(rate, axis=0).max(), step if np.isfinite(step) else 0.0)
+    most = max(_STEADY_SHARE * np.ptp(rate, axis=0).max(), step if np.isfinite(step) else 0.0)
     # An axis that was never turned one way ends there at what it reads at rest.
     is_none = np.any(reached[is_rest], axis=0)
     for end, axis in np.argwhere(reached.any(axis=0)):
@@ -69,7 +70,11 @@ def without_table_rates(
         stretches = np.split(rows, np.flatnonzero(np.diff(time_s[rows]) > _HOLE_S) + 1)
         if any(time_s[stretch[-1]] - time_s[stretch[0]] > _LONGEST_TURN_S for stretch in stretches):
             others = np.delete(rate, axis, axis=1)
-            is_none[end, axis] |= all(
-                np.all(np.ptp(np.quantile(others[stretch], [0.25, 0.75], axis=0), axis=0) <= most) for stretch in stretches
-            )
+            is_none[end, axis] |= all(_are_steady(others[stretch], most) for stretch in stretches)
     return np.where(is_none, np.nan, ends)
+
+
+def _are_steady(rates: FloatArray, most: float) -> bool:
+    """Whether axes, shape (k, 2), stay within ``most`` between their quartiles."""
+    low, high = np.quantile(rates, [0.25, 0.75], axis=0)
+    return bool(np.all(high - low <= most))

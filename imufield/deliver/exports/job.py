@@ -186,10 +186,10 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
         notes = (sentence("job.no_gyroscope"), *notes)
     calibration = parameters.calibration
-    # Of the gyroscope that is left out nothing more is said.
-    hidden = [name.rpartition(".")[0] for name in calibration.unobservable if job.has_gyroscope or "gyro" not in name]
-    if hidden:
-        notes = (sentence("job.not_determined", names=list(dict.fromkeys(hidden))), *notes)
+    # A gyroscope that is left out has its own note above.
+    undetermined = [name.rpartition(".")[0] for name in calibration.unobservable if job.has_gyroscope or "gyro" not in name]
+    if undetermined:
+        notes = (sentence("job.not_determined", names=list(dict.fromkeys(undetermined))), *notes)
     if calibration.quality.verdict == "usable":
         notes = (sentence("job.usable", reason=calibration.quality.main_reason), *notes)
     if draft.target_model is None:

@@ -305,7 +305,7 @@ class Parameters:
 
     @property
     def clock_note(self) -> str:
-        """The sentence that says so where no other clock was compared with that of the gyroscope's scale, else an empty one."""
+        """What to say where the clock behind the gyroscope's scale was compared with no other; empty where it was."""
         clock, gyroscope = self.context.clock, self.calibration.gyroscope
         knows_scale = gyroscope is not None and np.isfinite(gyroscope.sigma.scale).any()
         return clock_words(clock) if knows_scale and clock is not None and clock.source == "unchecked" else ""

@@ -63,11 +63,14 @@ class Outcome:
 
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: TextIO | None = None) -> None:
-    """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
+    """Print the summary: in colour and as wide as the window on a terminal with Unicode, else as plain text of 80 columns.
+
+    Where Unicode is not known, in ASCII.
+    """
     file = file or sys.stdout
     knows_unicode = (file.encoding or "utf-8").lower().startswith("utf")
     if file.isatty() and knows_unicode:
-        # Late, as laying out takes a tenth of a whole ``solve`` with it.
+        # Late: only a terminal needs rich, and importing it takes a twentieth of a short ``solve``.
         from rich.text import Text
 
         from imufield.console import PlainTextConsole
@@ -118,7 +121,7 @@ def _wrapped(parts: Line, width: int, indent: int = 0) -> Iterator[Line]:
 
 def _aligned(rows: Sequence[Line], places: str, least: Sequence[int]) -> Iterator[Line]:
     """Yield rows with their cells below each other, "<" at the left and ">" at the right, as wide as ``least`` or wider."""
-    widths = [max(most, *(columns(row[k][0]) for row in rows if k < len(row))) for k, most in enumerate(least)]
+    widths = [max([width, *(columns(row[k][0]) for row in rows if k < len(row))]) for k, width in enumerate(least)]
     for row in rows:
         blanks = [" " * (width - columns(words)) for width, (words, _) in zip(widths, row, strict=False)]
         cells = zip(row, blanks, places, strict=False)
@@ -166,7 +169,7 @@ class _TriadRows:
 
 
 def _triad(title: str, calibration: Calibration, width: int) -> Iterator[Line]:
-    """Return the table of one triad."""
+    """Return the lines of the table of one triad."""
     table = _TriadRows(title, width)
     for quantity in quantities(calibration):
         value, sigma = quantity.value, quantity.sigma

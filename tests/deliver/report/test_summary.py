@@ -227,11 +227,11 @@ def test_edited_file_is_said(full: Parameters) -> None:
     assert sentence("summary.edited") not in summary_text(full)
 
 
-def on_a_terminal(full: Parameters, monkeypatch: pytest.MonkeyPatch, columns: int) -> str:
+def on_a_terminal(full: Parameters, monkeypatch: pytest.MonkeyPatch, width: int) -> str:
     """Return what is written to a terminal of that width."""
     master, slave = pty.openpty()
     # rich asks the program's own terminal for its width, and of a test there is none.
-    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("TERM", "xterm-256color")
     with os.fdopen(master, "rb", buffering=0) as screen, ThreadPoolExecutor(1) as threads:
         with os.fdopen(slave, "w", encoding="utf-8") as terminal:
@@ -267,12 +267,12 @@ def test_ascii_files_get_ascii(full: Parameters, tmp_path: Path) -> None:
     assert "+3.182 +-0.011" in (tmp_path / "log.txt").read_text(encoding="ascii")
 
 
-@pytest.mark.parametrize("columns", [45, 60])
+@pytest.mark.parametrize("width", [45, 60])
 def test_a_narrow_window_has_every_number_in_a_line_of_its_own(
-    full: Parameters, monkeypatch: pytest.MonkeyPatch, columns: int
+    full: Parameters, monkeypatch: pytest.MonkeyPatch, width: int
 ) -> None:
-    lines = without_colours(on_a_terminal(full, monkeypatch, columns)).splitlines()
-    assert max(map(len, lines)) <= columns
+    lines = without_colours(on_a_terminal(full, monkeypatch, width)).splitlines()
+    assert max(map(len, lines)) <= width
     numbers = [line.split() for line in summary_text(full).splitlines() if "±" in line and line.split()[0] in ("bias", "scale")]
     assert numbers
     for words in numbers:
