@@ -91,7 +91,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: 
 def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
     """Return the summary as plain text of 80 columns."""
     lines = ("".join(words for words, _ in line) for line in summary(parameters, outcome))
-    return "".join(f"{printable(line.rstrip())}\n" for line in lines)
+    return "".join(f"{line.rstrip()}\n" for line in lines)
 
 
 def summary(parameters: Parameters, outcome: Outcome | None = None, width: int = WIDTH) -> list[Line]:
@@ -110,17 +110,19 @@ def summary(parameters: Parameters, outcome: Outcome | None = None, width: int =
 def _wrapped(parts: Line, width: int, indent: int = 0) -> Iterator[Line]:
     """Yield the parts, with blanks between them, in lines of that width: words whole, lines below the first indented."""
     line, column = Line(), 0
-    for word, style in [(word, style) for words, style in parts for word in words.split(" ")]:
+    for word, style in [(word, style) for words, style in parts for word in printable(words).split(" ")]:
         if line and column + columns(word) > width:
             yield line
             line, column = [(" " * indent, "")], indent
-        line.append((f"{word} ", style))
+        before = line.pop()[0] if line and line[-1][1] == style else ""
+        line.append((f"{before}{word} ", style))
         column += columns(word) + 1
     yield line
 
 
 def _aligned(rows: Sequence[Line], places: str, least: Sequence[int]) -> Iterator[Line]:
     """Yield rows with their cells below each other, "<" at the left and ">" at the right, as wide as ``least`` or wider."""
+    rows = [[(printable(words), style) for words, style in row] for row in rows]
     widths = [max([width, *(columns(row[k][0]) for row in rows if k < len(row))]) for k, width in enumerate(least)]
     for row in rows:
         blanks = [" " * (width - columns(words)) for width, (words, _) in zip(widths, row, strict=False)]
@@ -261,7 +263,7 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[Line]:
 
 def _in_columns(cells: list[Line], width: int) -> Iterator[Line]:
     # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
-    name_width = max(columns(name) for (name, _), *_ in cells)
+    name_width = max(columns(printable(name)) for (name, _), *_ in cells)
     beside = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
     rows = -(-len(cells) // beside)
     # Down the first column, then the second: the order in which they were taken.
@@ -300,12 +302,11 @@ def _next_steps(parameters: Parameters, outcome: Outcome, width: int) -> Iterato
     if calibration.gravity.source == "assumed":
         again = "imufield solve" if outcome.session is None else f"imufield solve {shell_word(outcome.session.folder)}"
         yield from _bullets([sentence("summary.tell_place")], width)
-        yield [(f"   {again} --latitude DEGREES --height METRES", "")]
+        yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
     yield from _remedy(outcome.quality or calibration.quality, outcome.session, width)
     if outcome.path is not None:
         yield from ([], [("Written to", "bold")])
-        # In two pieces it could not be copied.
-        yield [(str(outcome.path), "")]
+        yield _unbroken(str(outcome.path))
         if outcome.kept is not None:
             yield from _bullets([sentence("summary.kept", name=outcome.kept.name)], width)
         if calibration.quality.verdict != "poor":
@@ -329,4 +330,9 @@ def _remedy(quality: Quality, session: Session | None, width: int) -> Iterator[L
     else:
         key, command = "summary.leave_out", f"imufield solve {folder or '--observations FILE'} --without NAME"
     yield from _bullets([sentence(key)], width)
-    yield [(f"   {command}", "")]
+    yield _unbroken(f"   {command}")
+
+
+def _unbroken(text: str) -> Line:
+    """Return a path or a command on a line of its own: in two pieces it cannot be copied."""
+    return [(printable(text), "")]
