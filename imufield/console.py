@@ -26,6 +26,8 @@ class PlainTextConsole(Console):
     def __init__(self, *, width: int | None = None, file: IO[str] | None = None) -> None:
         if width is None:
             super().__init__(file=file, markup=False, emoji=False)
+            # rich believes COLUMNS=0, and shows nothing.
+            self.width = self.width or 80
         else:
             super().__init__(width=width, file=file, color_system=None, legacy_windows=False, markup=False, emoji=False)
 

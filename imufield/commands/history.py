@@ -20,7 +20,7 @@ from imufield.deliver.history_words import sentences, shown_as, to_csv
 from imufield.deliver.judged_history import JudgedHistory, judge_histories
 from imufield.deliver.pair_test import Change
 from imufield.deliver.parameters.gauge_free import Number, unit_of
-from imufield.deliver.parameters.printed_numbers import beside, hanging, to_ascii, with_sigma
+from imufield.deliver.parameters.printed_numbers import beside, hanging, shown_on, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentence, Sentences, counted, folded
@@ -141,8 +141,7 @@ def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
     for row in rows:
         line = f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
         # Another encoding has no sign for plus-minus, and printing one would end the program.
-        shows_signs = (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
-        yield line if shows_signs else to_ascii(line)
+        yield shown_on(sys.stdout, line)
 
 
 def _instrument(history: JudgedHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:

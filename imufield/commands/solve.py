@@ -7,7 +7,6 @@ the parameter files, so a session whose worker was killed and that is solved aga
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,10 +14,10 @@ import numpy as np
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
-from imufield.commands.terminal.output import echo, say, tell_written
+from imufield.commands.terminal.output import echo, echo_table, say, tell_written
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready
-from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.gain import document_with_gain
 from imufield.deliver.report.summary import Outcome, print_summary
@@ -198,19 +197,8 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:
-    # Slow to import, and most solve one session.
-    from rich.table import Table
-
-    from imufield.console import PlainTextConsole
-
-    console = PlainTextConsole(width=None if sys.stdout.isatty() else WIDTH)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("session", overflow="fold")
-    for heading in ("verdict", "positions", "residual", "bias sigma", "scale sigma"):
-        table.add_column(heading, justify="left" if heading == "verdict" else "right", no_wrap=True)
-    for outcome in outcomes:
-        table.add_row(outcome.name, outcome.verdict, *_figures(outcome))
-    console.print(table)
+    headings = ("session", "verdict", "positions", "residual", "bias sigma", "scale sigma")
+    echo_table([headings, *((outcome.name, outcome.verdict, *_figures(outcome)) for outcome in outcomes)], "<<>>>>")
     for outcome in outcomes:
         # What is to be read beside its row: an error alone, or why it is not good before the rest.
         said = (outcome.error,) if outcome.error else outcome.notes

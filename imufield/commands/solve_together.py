@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
-
-from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
-from imufield.commands.terminal.output import echo, say, say_each, tell_written
-from imufield.console import PlainTextConsole
+from imufield.commands.terminal.output import echo, echo_table, say, say_each, tell_written
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready
 from imufield.deliver.parameters.joined import shown_unit
-from imufield.deliver.parameters.printed_numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting
@@ -74,15 +69,9 @@ def _sessions(options: SolveOptions) -> list[Session]:
 def _print(parameters: Parameters) -> None:
     """Print a row for each kind of parameter that changes, and the verdict."""
     quality, instrument = parameters.calibration.quality, parameters.context.instrument
-    console = PlainTextConsole(width=None if sys.stdout.isatty() else WIDTH)
     who = " ".join(filter(None, (instrument.model or instrument.driver, instrument.serial_number)))
     say(f"{who}: {quality.reasons[0]}")
-    table = Table(box=None, pad_edge=False)
-    for k, heading in enumerate(HEADINGS):
-        table.add_column(heading, justify="left" if k < 2 else "right", no_wrap=True)
-    for row in together_rows(parameters):
-        table.add_row(*(to_ascii(cell) if console.options.ascii_only else cell for cell in row))
-    console.print(table)
+    echo_table([HEADINGS, *together_rows(parameters)], "<<>>>>")
     together = parameters.context.together
     # From FEWEST_WITHOUT_PRIOR sessions on they say themselves how days differ.
     if together is not None and together.prior_grade:

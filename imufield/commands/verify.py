@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,12 +16,11 @@ from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.terminal.output import echo, say, tell_written
-from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.static_navigation import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
-from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, beside, to_ascii
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, beside, shown_on
 from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
@@ -123,8 +123,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     if options.as_json:
         echo(json.dumps(json_ready(document)))
     else:
-        text, console = verification_text(found), PlainTextConsole()
-        console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
+        echo(shown_on(sys.stdout, verification_text(found)), end="")
     tell_written(output, as_json=options.as_json)
     if joined["passed"] is False and found.passed is not False:
         earlier = [*(one["name"] for one in joined["requirement"] if not one["passed"]), *joined["objections"]]

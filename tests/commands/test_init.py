@@ -160,8 +160,10 @@ def test_broken_off_nothing_is_written(keys: str, program: Program, terminal: Ca
 
 def test_the_last_site_is_offered_again(program: Program, terminal: Callable[..., Terminal]) -> None:
     earlier_session(program.folder, latitude_deg=47.5, height_m=610.0)
-    # Newer ones that have no place, or cannot be read.
+    # Newer ones that have no place, or cannot be read; that of the demonstration is nobody's.
     earlier_session(program.folder)
+    of_demo = {"site": {"latitude_deg": 45.0}, "link": {"port": "instrument", "is_virtual": True}}
+    Session.create(program.folder / DEFAULT_ROOT, "stim300", of_demo)
     broken = Session.create(program.folder / DEFAULT_ROOT, "stim300", {})
     (broken.folder / "session.toml").write_text("format = ")
     screen = terminal("init")

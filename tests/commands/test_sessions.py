@@ -125,6 +125,12 @@ def test_sessions_are_found_by_what_they_show(folder: Path, words: str, names: s
     assert says(told.err, "commands", "sessions.none_such", sessions=5, folder=DEFAULT_ROOT, find=f"{words} elsewhere")
 
 
+def test_a_session_that_is_named_is_listed_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert folder.is_dir()
+    every = listed(capsys)
+    assert [listed(capsys, row["folder"]) for row in every] == [[row] for row in every]
+
+
 def test_a_session_under_way_is_being_recorded(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Session.open(folder / "20260303T101500Z-stopped").lock():
         assert [row["state"] for row in listed(capsys, "--find", "stopped")] == ["recording"]

@@ -231,7 +231,9 @@ class KindTest:
             return np.zeros(draws)
         found = contrasts(self.y, self.axes, self.covariance)
         n, own = len(found.u), float(np.mean(found.own_variance))
-        excess = float(np.sum(found.u**2 / found.own_variance))
+        # Infinite where a session has no noise.
+        with np.errstate(over="ignore"):
+            excess = float(np.sum(found.u**2 / found.own_variance))
         if excess <= chi_squared_quantile(n, 1 - _EXCESS_CHANCE):
             return np.zeros(draws)
         return np.maximum((self.variance + own) * n / rng.chisquare(n, draws) - own, 0.0)

@@ -6,14 +6,15 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
-from imufield.deliver.parameters.printed_numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside, shown_on
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
+from imufield.printed_lines import aligned
 from imufield.progress import hidden
 from imufield.sentences import Sentences, folded, printable, printable_lines
 
@@ -100,6 +101,12 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
     """
     with hidden():
         _write(f"{begin}{printable_lines(text)}{end}", err=err)
+
+
+def echo_table(rows: Sequence[Sequence[str]], places: str) -> None:
+    """Print rows with their cells below each other; each column goes to its place, "<" the left or ">" the right."""
+    for line in aligned([[(cell, "") for cell in row] for row in rows], places):
+        echo(shown_on(sys.stdout, "".join(words for words, _ in line).rstrip()))
 
 
 def echo_path(path: Path) -> None:

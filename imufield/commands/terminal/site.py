@@ -76,7 +76,7 @@ def _last_site(root: Path) -> SiteOptions | None:
     for folder in Session.newest_first(root):
         # A session that cannot be read is no reason not to offer the place of another.
         with suppress(RecordingError):
-            record = Session.open(folder).record.site
-            if record.is_known:
-                return SiteOptions().place(record)
+            record = Session.open(folder).record
+            if record.site.is_known and not record.link.is_virtual:
+                return SiteOptions().place(record.site)
     return None

@@ -9,9 +9,10 @@ import math
 import re
 import shutil
 import textwrap
-from unicodedata import east_asian_width
+from typing import TextIO
 
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
+from imufield.printed_lines import columns
 from imufield.sentences import printable
 
 ARC_MINUTE_RAD = math.pi / (180 * 60)
@@ -70,11 +71,6 @@ def hanging(start: str, sentence: str) -> str:
     )
 
 
-def columns(text: str) -> int:
-    """Return how wide a text is; Chinese and Japanese characters take two columns."""
-    return len(text) if text.isascii() else sum(1 + (east_asian_width(character) in "WF") for character in text)
-
-
 def beside(words: str, path: object, indent: int = 0) -> str:
     """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
     shown = printable(str(path))
@@ -102,3 +98,13 @@ _ASCII = str.maketrans(
 def to_ascii(text: str) -> str:
     """Return the text for terminals and files that know ASCII only; columns of numbers stay in line."""
     return re.sub(r"(?<=\d) ± ", " +-", text).translate(_ASCII)
+
+
+def knows_unicode(stream: TextIO) -> bool:
+    """Whether a stream takes every character."""
+    return (stream.encoding or "utf-8").lower().startswith("utf")
+
+
+def shown_on(stream: TextIO, text: str) -> str:
+    """Return a text as a stream can show it: in ASCII where it knows no Unicode."""
+    return text if knows_unicode(stream) else to_ascii(text)

@@ -22,14 +22,15 @@ from imufield.deliver.parameters.printed_numbers import (
     WIDTH,
     acceleration_unit,
     bar,
-    columns,
-    to_ascii,
+    knows_unicode,
+    shown_on,
     with_sigma,
     with_sigma_within,
 )
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.printed_lines import Line, aligned, columns, wrapped
 from imufield.progress import hidden
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable, shell_word, three_digits
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
     from imufield.acquire.recording.session import Session
 
 sentence = Sentences(__package__)
-
-Line = list[tuple[str, str]]
-"""Words of a line, each with the style that rich gives them on a terminal."""
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
 # Three columns of each fit 80 characters.
@@ -68,8 +66,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: 
     Where Unicode is not known, in ASCII.
     """
     file = file or sys.stdout
-    knows_unicode = (file.encoding or "utf-8").lower().startswith("utf")
-    if file.isatty() and knows_unicode:
+    if file.isatty() and knows_unicode(file):
         # Late: only a terminal needs rich, and importing it takes a twentieth of a short ``solve``.
         from rich.text import Text
 
@@ -84,7 +81,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: 
         return
     text = summary_text(parameters, outcome)
     with hidden():
-        file.write(text if knows_unicode else to_ascii(text))
+        file.write(shown_on(file, text))
         file.flush()
 
 
@@ -99,35 +96,12 @@ def summary(parameters: Parameters, outcome: Outcome | None = None, width: int =
     calibration = parameters.calibration
     lines = [*_heading(parameters, width), [], *_triad("Accelerometer", calibration, width)]
     if calibration.gyroscope is not None:
-        lines += [[], *_triad("Gyroscope", calibration, width), *_wrapped([(calibration.gyroscope.path, "dim")], width)]
+        lines += [[], *_triad("Gyroscope", calibration, width), *wrapped([(calibration.gyroscope.path, "dim")], width)]
     lines += [[], *_facts(calibration, width), [], *_residuals(parameters, width)]
     # It may be far more than the sigma of scale above: beside the verdict.
     if details := [reason for reason in calibration.quality.details if reason != parameters.clock_note]:
         lines += [[], [("Details", "bold")], *_bullets(details, width)]
     return [*lines, [], *_verdict(parameters, width), *_next_steps(parameters, outcome or Outcome(), width)]
-
-
-def _wrapped(parts: Line, width: int, indent: int = 0) -> Iterator[Line]:
-    """Yield the parts, with blanks between them, in lines of that width: words whole, lines below the first indented."""
-    line, column = Line(), 0
-    for word, style in [(word, style) for words, style in parts for word in printable(words).split(" ")]:
-        if line and column + columns(word) > width:
-            yield line
-            line, column = [(" " * indent, "")], indent
-        before = line.pop()[0] if line and line[-1][1] == style else ""
-        line.append((f"{before}{word} ", style))
-        column += columns(word) + 1
-    yield line
-
-
-def _aligned(rows: Sequence[Line], places: str, least: Sequence[int]) -> Iterator[Line]:
-    """Yield rows with their cells below each other, "<" at the left and ">" at the right, as wide as ``least`` or wider."""
-    rows = [[(printable(words), style) for words, style in row] for row in rows]
-    widths = [max([width, *(columns(row[k][0]) for row in rows if k < len(row))]) for k, width in enumerate(least)]
-    for row in rows:
-        blanks = [" " * (width - columns(words)) for width, (words, _) in zip(widths, row, strict=False)]
-        cells = zip(row, blanks, places, strict=False)
-        yield [(f"{words}{blank} " if place == "<" else f"{blank}{words} ", style) for (words, style), blank, place in cells]
 
 
 def _heading(parameters: Parameters, width: int) -> Iterator[Line]:
@@ -138,8 +112,8 @@ def _heading(parameters: Parameters, width: int) -> Iterator[Line]:
     if math.isfinite(low) and math.isfinite(high):
         facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
     facts.append(parameters.context.measured.replace("T", " ").replace("Z", " UTC"))
-    yield from _wrapped([(f"Calibration of {who}", "bold")], width)
-    yield from _wrapped([(" · ".join(facts), "dim")], width)
+    yield from wrapped([(f"Calibration of {who}", "bold")], width)
+    yield from wrapped([(" · ".join(facts), "dim")], width)
 
 
 class _TriadRows:
@@ -166,8 +140,8 @@ class _TriadRows:
 
     def lines(self) -> Iterator[Line]:
         """Yield them below each other."""
-        cells = [0, _NUMBER_WIDTH] if self._is_narrow else [_NUMBER_WIDTH] * 3
-        return _aligned(self._rows, "<<<>" if self._is_narrow else "<<>>>", [13, 6, *cells])
+        cells = [0, 0] if self._is_narrow else [_NUMBER_WIDTH] * 3
+        return aligned(self._rows, "<<<>" if self._is_narrow else "<<>>>", [13, 6, *cells])
 
 
 def _triad(title: str, calibration: Calibration, width: int) -> Iterator[Line]:
@@ -201,7 +175,8 @@ def _add_misalignment(table: _TriadRows, quantity: Quantity) -> None:
     for start in range(0, len(shown), 3):
         part = shown[start : start + 3]
         pairs = [pair for pair, *_ in part]
-        cells = [f"{pair} {with_sigma(value, sigma, sign=True)}" for pair, value, sigma in part]
+        room = _NUMBER_WIDTH - 3  # Beside "yx ".
+        cells = [f"{pair} {with_sigma_within(room, value, sigma, sign=True)}" for pair, value, sigma in part]
         table.add("misalignment" if start == 0 else "", "mrad", cells, places=[""] * 3)
         minutes = [f"{value * 1e-3 / ARC_MINUTE_RAD:+.1f}" if math.isfinite(sigma) else "" for _, value, sigma in part]
         table.add("", "arcmin", minutes, places=pairs, style="dim")
@@ -220,7 +195,7 @@ def _facts(calibration: Calibration, width: int) -> Iterator[Line]:
         "Sigma": sigma_words(quality),
     }
     for name, words in facts.items():
-        yield from _wrapped([(f"{name:8}", "bold"), (words, "")], width, indent=9)
+        yield from wrapped([(f"{name:8}", "bold"), (words, "")], width, indent=9)
 
 
 def sigma_words(quality: Quality) -> Sentence:
@@ -241,12 +216,12 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[Line]:
     unit, size = acceleration_unit(largest)
     if quality.degrees_of_freedom < 1:
         # Zeros would look like a perfect fit.
-        yield from _wrapped([("Residual by position:", "bold"), (sentence("summary.no_residual"), "")], width)
+        yield from wrapped([("Residual by position:", "bold"), (sentence("summary.no_residual"), "")], width)
         return
     figures = f"{unit}: RMS {three_digits(quality.residual_rms_m_s2 / size)}, largest {three_digits(largest / size)}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         figures += f", leave-one-out RMS {three_digits(quality.leave_one_out_rms_m_s2 / size)}"
-    yield from _wrapped([("Residual by position,", "bold"), (figures, "")], width)
+    yield from wrapped([("Residual by position,", "bold"), (figures, "")], width)
     # Residuals of nothing but rounding have no worst.
     worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
     cells = []
@@ -263,18 +238,25 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[Line]:
 
 def _in_columns(cells: list[Line], width: int) -> Iterator[Line]:
     # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
-    name_width = max(columns(printable(name)) for (name, _), *_ in cells)
+    # A longer name would part all the others from their numbers.
+    most = width - _BAR_WIDTH - 11
+    cells = [[(_shortened(printable(name), most), style), *others] for (name, style), *others in cells]
+    name_width = max(columns(name) for (name, _), *_ in cells)
     beside = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
     rows = -(-len(cells) // beside)
     # Down the first column, then the second: the order in which they were taken.
     lines = [[part for cell in cells[row::rows] for part in cell] for row in range(rows)]
-    return _aligned(lines, "<<>" * beside, [name_width, _BAR_WIDTH, 8] * beside)
+    return aligned(lines, "<<>" * beside, [name_width, _BAR_WIDTH, 8] * beside)
+
+
+def _shortened(name: str, most: int) -> str:
+    return name if columns(name) <= most else f"{name[: most // 2]}…"
 
 
 def _verdict(parameters: Parameters, width: int) -> Iterator[Line]:
     quality, gained = parameters.calibration.quality, gain(parameters)
     if gained is not None:
-        yield from _wrapped([(gained.words, "bold")], width)
+        yield from wrapped([(gained.words, "bold")], width)
     line = [("Verdict:", "bold"), (f"{quality.verdict.upper()},", _VERDICT_STYLES[quality.verdict])]
     line.append((VERDICT_WORDS[quality.verdict], ""))
     if parameters.edited:
@@ -284,7 +266,7 @@ def _verdict(parameters: Parameters, width: int) -> Iterator[Line]:
     if quality.gyroscope_verdict:
         words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}
         line.append((f"({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", ""))
-    yield from _wrapped(line, width)
+    yield from wrapped(line, width)
     yield from _bullets(filter(None, (*quality.warnings, parameters.clock_note, *quality.reasons[:1])), width)
 
 
@@ -294,7 +276,7 @@ def _loud(verdict: str) -> str:
 
 def _bullets(texts: Iterable[str], width: int) -> Iterator[Line]:
     for text in folded(texts):
-        yield from _wrapped([(" ·", ""), (text, "")], width, indent=3)
+        yield from wrapped([(" ·", ""), (text, "")], width, indent=3)
 
 
 def _next_steps(parameters: Parameters, outcome: Outcome, width: int) -> Iterator[Line]:

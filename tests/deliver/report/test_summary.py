@@ -20,9 +20,9 @@ from imufield.calibrate.model.result import Calibration, GyroscopeCalibration, Q
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.context import ClockFacts, Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
-from imufield.deliver.parameters.printed_numbers import columns
 from imufield.deliver.report.summary import Outcome, print_summary, summary_text
 from imufield.earth import choose_gravity
+from imufield.printed_lines import columns
 from imufield.sentences import Sentences
 
 sentence = Sentences("imufield.deliver.report")
