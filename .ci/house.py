@@ -26,7 +26,7 @@ ROOMS = (
     ("version", "sentences", "limits", "dataclass"),
     ("errors",),
     ("progress",),
-    ("samples", "earth", "files", "toml_and_json", "console", "printed_lines", "campaign"),
+    ("samples", "earth", "files", "toml_and_json", "console", "campaign"),
     ("drawing",),
     ("acquire/protocol",),
     ("acquire/decode",),

@@ -1,1 +1,1 @@
-"""Drawing: what all pictures have in common, the box that stands for the instrument, and one style of plots."""
+"""Drawing: the box that stands for the instrument, one style of plots, and lines of words for a terminal."""

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.deliver.parameters.printed_numbers import beside, shown_on
+from imufield.drawing.printed_lines import aligned
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
-from imufield.printed_lines import aligned
 from imufield.progress import hidden
 from imufield.sentences import Sentences, folded, printable, printable_lines
 

@@ -11,8 +11,8 @@ import shutil
 import textwrap
 from typing import TextIO
 
+from imufield.drawing.printed_lines import columns
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
-from imufield.printed_lines import columns
 from imufield.sentences import printable
 
 ARC_MINUTE_RAD = math.pi / (180 * 60)

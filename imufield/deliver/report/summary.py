@@ -29,8 +29,8 @@ from imufield.deliver.parameters.printed_numbers import (
 )
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
+from imufield.drawing.printed_lines import Line, aligned, columns, wrapped
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.printed_lines import Line, aligned, columns, wrapped
 from imufield.progress import hidden
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable, shell_word, three_digits

@@ -21,8 +21,8 @@ from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.context import ClockFacts, Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.summary import Outcome, print_summary, summary_text
+from imufield.drawing.printed_lines import columns
 from imufield.earth import choose_gravity
-from imufield.printed_lines import columns
 from imufield.sentences import Sentences
 
 sentence = Sentences("imufield.deliver.report")
