@@ -105,7 +105,10 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
 
 def echo_table(rows: Sequence[Sequence[str]], places: str) -> None:
     """Print rows with their cells below each other; each column goes to its place, "<" the left or ">" the right."""
-    for line in aligned([[(cell, "") for cell in row] for row in rows], places):
+    # Headings of two words need two blanks between them.
+    spaced = {"<": "{} ", ">": " {}"}
+    cells = [[(spaced[place].format(cell), "") for cell, place in zip(row, places, strict=False)] for row in rows]
+    for line in aligned(cells, places):
         echo(shown_on(sys.stdout, "".join(words for words, _ in line).rstrip()))
 
 
