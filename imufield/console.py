@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from typing import IO
 
@@ -10,6 +11,8 @@ from rich.segment import Segment
 
 from imufield.progress import hidden
 from imufield.sentences import printable_lines
+
+_SIZES = ("COLUMNS", "LINES")
 
 
 class PlainTextConsole(Console):
@@ -25,9 +28,9 @@ class PlainTextConsole(Console):
 
     def __init__(self, *, width: int | None = None, file: IO[str] | None = None) -> None:
         if width is None:
-            super().__init__(file=file, markup=False, emoji=False)
-            # rich believes COLUMNS=0, and shows nothing.
-            self.width = self.width or 80
+            # rich believes a size of 0, and shows nothing.
+            environment = {name: value for name, value in os.environ.items() if name not in _SIZES or value != "0"}
+            super().__init__(file=file, markup=False, emoji=False, _environ=environment)
         else:
             super().__init__(width=width, file=file, color_system=None, legacy_windows=False, markup=False, emoji=False)
 

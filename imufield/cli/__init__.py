@@ -40,8 +40,8 @@ def main() -> None:
             sys.stdout.write(f"imufield {__version__}\n")
             sys.stdout.flush()
             return
-    _keep_freed_memory()
     try:
+        _keep_freed_memory()
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run
 
@@ -60,16 +60,18 @@ def _keep_freed_memory() -> None:
 
     By default it goes back to the system, which clears it page by page for the next array.
     """
-    if sys.platform != "linux":
+    # A gain that the program can do without: what a person has set stays, and nothing depends on its success.
+    if sys.platform != "linux" or "GLIBC_TUNABLES" in os.environ:
         return
-    import ctypes
+    with suppress(ImportError, OSError, AttributeError):  # Only glibc has the function.
+        import ctypes
 
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # Of glibc alone.
-    # Each with its number in malloc.h.
-    settings = (("MALLOC_TRIM_THRESHOLD_", -1, _KEPT_BYTES), ("MALLOC_MMAP_THRESHOLD_", -3, _MAPPED_BYTES))
-    for variable, number, size_bytes in settings:
-        if mallopt is not None and os.environ.setdefault(variable, str(size_bytes)) == str(size_bytes):
-            mallopt(number, size_bytes)
+        mallopt = ctypes.CDLL(None).mallopt
+        # Each with its number in malloc.h.
+        settings = (("MALLOC_TRIM_THRESHOLD_", -1, _KEPT_BYTES), ("MALLOC_MMAP_THRESHOLD_", -3, _MAPPED_BYTES))
+        for variable, number, size_bytes in settings:
+            if os.environ.setdefault(variable, str(size_bytes)) == str(size_bytes):
+                mallopt(number, size_bytes)
 
 
 def _open_closed_streams() -> None:

@@ -42,7 +42,7 @@ def list_sessions(options: SessionsOptions) -> None:
         raise UsageError(sentence("sessions.no_folder", folder=folder))
     listed = [_row(path.parent, folder) for path in folder.glob(f"*/{SETTINGS_FILE}")]
     if (folder / SETTINGS_FILE).exists():
-        listed = [_row(folder, real_path(folder).parent)]
+        listed.append(_row(folder, real_path(folder).parent))
     listed.sort(key=lambda row: (row["created"] or "", row["folder"]), reverse=True)
     found = [row for row in listed if all(word in f"{_what(row)} {_who(row)} {row['folder']}".lower() for word in words)]
     if options.as_json:

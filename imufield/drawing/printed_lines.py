@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from unicodedata import east_asian_width
+from unicodedata import combining, east_asian_width
 
 from imufield.sentences import printable
 
@@ -12,8 +12,10 @@ Line = list[tuple[str, str]]
 
 
 def columns(text: str) -> int:
-    """Return how wide a text is; Chinese and Japanese characters take two columns."""
-    return len(text) if text.isascii() else sum(1 + (east_asian_width(character) in "WF") for character in text)
+    """Return how wide a text is; Chinese and Japanese characters take two columns, marks above a letter none."""
+    if text.isascii():
+        return len(text)
+    return sum(0 if combining(character) else 1 + (east_asian_width(character) in "WF") for character in text)
 
 
 def wrapped(parts: Line, width: int, indent: int = 0) -> Iterator[Line]:

@@ -448,10 +448,10 @@ def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
     has_height = before.height_m != 0 or before.source != "normal" or not now.lacks_height
     if not (has_height and before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2):
         return ()
-    again = f"add --gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
+    again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
     if before.source == "normal" and before.latitude_deg is not None:
         height = "" if before.height_m is None else f" --height {before.height_m:g}"
-        # A gravity that was typed goes before that of the place.
-        is_typed = now.source != "normal" and now.gravity_m_s2 != STANDARD_GRAVITY_M_S2
-        again = f"{'leave out --gravity, and give' if is_typed else 'add'} --latitude {before.latitude_deg:g}{height}"
+        # A gravity that is stated goes before that of the place.
+        without = "" if now.source == "normal" else " and without --gravity"
+        again = f"--latitude {before.latitude_deg:g}{height}{without}"
     return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)

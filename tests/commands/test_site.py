@@ -284,7 +284,7 @@ def test_the_height_0_of_an_earlier_version_is_not_proposed(nowhere: Path) -> No
     assert "--latitude 45 --height 520" in told
     # A gravity that was typed beside the place goes before it.
     (told,) = solving._better_gravity(replace(before, height_m=520.0), choose_gravity(9.81, latitude_deg=45.0))
-    assert "leave out --gravity" in told
+    assert "without --gravity" in told
 
 
 def test_a_session_keeps_the_digits() -> None:

@@ -106,5 +106,5 @@ def knows_unicode(stream: TextIO) -> bool:
 
 
 def shown_on(stream: TextIO, text: str) -> str:
-    """Return a text as a stream can show it: in ASCII where it knows no Unicode."""
-    return text if knows_unicode(stream) else to_ascii(text)
+    """Return a text as a stream can show it: where it knows no Unicode our signs in ASCII, and other characters as codes."""
+    return text if knows_unicode(stream) else to_ascii(text).encode(stream.encoding, "backslashreplace").decode(stream.encoding)

@@ -239,7 +239,7 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[Line]:
 def _in_columns(cells: list[Line], width: int) -> Iterator[Line]:
     # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
     # A longer name would part all the others from their numbers.
-    most = width - _BAR_WIDTH - 11
+    most = width - _BAR_WIDTH - 10
     cells = [[(_shortened(printable(name), most), style), *others] for (name, style), *others in cells]
     name_width = max(columns(name) for (name, _), *_ in cells)
     beside = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
@@ -250,7 +250,12 @@ def _in_columns(cells: list[Line], width: int) -> Iterator[Line]:
 
 
 def _shortened(name: str, most: int) -> str:
-    return name if columns(name) <= most else f"{name[: most // 2]}…"
+    """Return a name, or its end where it is too long: there numbers stand."""
+    shown = name
+    while name and columns(shown) > most:
+        name = name[1:]
+        shown = f"…{name}"
+    return shown
 
 
 def _verdict(parameters: Parameters, width: int) -> Iterator[Line]:

@@ -280,11 +280,35 @@ def test_a_narrow_window_has_every_number_in_a_line_of_its_own(
             assert sum(" ".join(words[place - 1 : place + 2]) in line for line in lines) >= 1
 
 
-def test_names_of_two_columns_a_character_stand_in_line(
-    calibration: Calibration, observations: Observations, context: Context
+def test_a_width_of_nothing_hides_nothing(full: Parameters, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert without_colours(on_a_terminal(full, monkeypatch, 0)) == summary_text(full)
+
+
+def test_the_ends_of_long_names_tell_them_apart(calibration: Calibration, observations: Observations, context: Context) -> None:
+    names = tuple(f"{'a position ' * 12}{k}" for k in range(24))
+    _, _, shown = made(calibration, replace(observations, name=names), context).partition("Residual by position")
+    rows = shown.splitlines()[1:25]
+    assert max(map(len, rows)) <= 80
+    assert len({row[:61] for row in rows}) == 24
+
+
+@pytest.mark.parametrize(("encoding", "name"), [("ascii", "传感器"), ("latin-1", "Košice"), ("cp1252", "传感器")])
+def test_names_that_an_output_does_not_know_are_spelt_out(
+    full: Parameters, tmp_path: Path, *, encoding: str, name: str
 ) -> None:
-    """A Chinese character takes two columns of a terminal."""
-    named = replace(observations, name=("上", *observations.name[1:]))
+    with (tmp_path / "log.txt").open("w", encoding=encoding) as file:
+        print_summary(full, Outcome(Path(name, "parameters.toml")), file)
+    shown = (tmp_path / "log.txt").read_text(encoding=encoding)
+    assert name.encode(encoding, "backslashreplace").decode(encoding) in shown
+    assert "Verdict" in shown
+
+
+@pytest.mark.parametrize("name", ["上", "e\u0301te\u0301"])
+def test_names_of_other_than_one_column_a_character_stand_in_line(
+    calibration: Calibration, observations: Observations, context: Context, name: str
+) -> None:
+    """A Chinese character takes two columns of a terminal, a mark above a letter none."""
+    named = replace(observations, name=(name, *observations.name[1:]))
     rows = made(calibration, named, context).partition("Residual by position")[2].splitlines()[1:9]
     bars = [columns(row[: re.search("[█▏▎▍▌▋▊▉]", row).start()]) for row in rows]
     assert len({*bars}) == 1
