@@ -9,7 +9,7 @@ from imufield.deliver.samples.number_text import float_column, integer_column, t
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 ROWS = 2048
-"""Rows that are written at once: a quarter of a megabyte of text. More would be given back to the system each time."""
+"""Rows that are written at once: a quarter of a megabyte of text. More is no faster."""
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
