@@ -65,14 +65,14 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: 
 
     Where Unicode is not known, in ASCII.
     """
-    file = file or sys.stdout
-    if file.isatty() and knows_unicode(file):
+    stream: TextIO = sys.stdout if file is None else file
+    if stream.isatty() and knows_unicode(stream):
         # Late: only a terminal needs rich, and importing it takes a twentieth of a short ``solve``.
         from rich.text import Text
 
         from imufield.console import PlainTextConsole
 
-        console = PlainTextConsole(file=file)
+        console = PlainTextConsole(file=stream)
         lines = [Text.assemble(*line) for line in summary(parameters, outcome, console.width)]
         for line in lines:
             line.rstrip()
@@ -81,8 +81,8 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: 
         return
     text = summary_text(parameters, outcome)
     with hidden():
-        file.write(shown_on(file, text))
-        file.flush()
+        stream.write(shown_on(stream, text))
+        stream.flush()
 
 
 def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
