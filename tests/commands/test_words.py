@@ -184,6 +184,17 @@ def test_what_comes_next_can_be_done(
     assert command in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("accepted", "is_enough"), [(9, False), (10, True), (24, True)])
+def test_what_is_not_finished_can_be_solved_where_it_is_enough(
+    accepted: int, is_enough: bool, whole_session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = Session.open(whole_session)
+    farewell(Captured(session=session, accepted=accepted, planned=24, finished=False), "plain", SystemClock())
+    shown = capsys.readouterr().out
+    assert "imufield capture --resume --session" in shown
+    assert ("imufield solve" in shown) is is_enough
+
+
 def test_what_was_refused_and_measured_then_is_not_what_is_missing(make_session: Callable[..., Session]) -> None:
     """The second side is knocked, and measured right after; the last is never shown."""
 

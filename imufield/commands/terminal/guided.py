@@ -418,6 +418,8 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     if captured.finished and captured.lacking:
         say(captured.lacking)
     echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
+    if not (captured.can_be_solved or captured.missing):
+        echo(beside("or now:", f"imufield solve {shell_word(folder)}"))
 
 
 def _next_command(captured: Captured, clock: HostClock) -> str:
