@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 import subprocess
 import sys
-import termios
 from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux or macOS")
+fcntl = pytest.importorskip("fcntl", reason="needs pseudo-terminals: Linux or macOS")
+termios = pytest.importorskip("termios", reason="needs pseudo-terminals: Linux or macOS")
 
 ASKING = """
 from imufield.console import PlainTextConsole
