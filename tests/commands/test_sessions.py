@@ -125,8 +125,7 @@ def test_sessions_are_found_by_what_they_show(folder: Path, words: str, names: s
     assert says(told.err, "commands", "sessions.none_such", sessions=5, folder=DEFAULT_ROOT, find=f"{words} elsewhere")
 
 
-def test_a_session_that_is_named_is_listed_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert folder.is_dir()
+def test_a_session_that_is_named_is_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     every = listed(capsys)
     assert [listed(capsys, row["folder"]) for row in every] == [[row] for row in every]
 

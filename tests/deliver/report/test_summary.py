@@ -274,6 +274,7 @@ def test_a_narrow_window_has_every_number_in_a_line_of_its_own(
 ) -> None:
     lines = without_colours(on_a_terminal(full, monkeypatch, width)).splitlines()
     assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
     numbers = [line.split() for line in summary_text(full).splitlines() if "±" in line and line.split()[0] in ("bias", "scale")]
     assert numbers
     for words in numbers:
