@@ -104,7 +104,7 @@ def printable_values(value: object) -> object:
     if isinstance(value, dict):
         return {key: printable_values(entry) for key, entry in value.items()}
     if isinstance(value, list):
-        return [printable_values(entry) for entry in value]
+        return [entry if isinstance(entry, float) else printable_values(entry) for entry in value]
     return printable(value) if isinstance(value, str) else value
 
 

@@ -38,7 +38,9 @@ _TOKEN = re.compile(
     r'|"(?:[^"\\\n]++|\\.)*+"?'
     r"|'[^'\n]*+'?"
     r"|#[^\n]*+"
-    r"|[][{}.,=\n]",
+    r"|[][{}.,=\n]"
+    # Most of a file of results. Behind another dot it may be part of a key, so that it neither counts nor ends one.
+    r"|(?:[0-9]++\.[0-9e+-]++,?[ \n]*+-?)++",
     re.DOTALL,
 )
 _BRACE = re.compile("[{}]")
@@ -94,7 +96,7 @@ def _check_brackets(text: str, label: str, kind: type[ImufieldError]) -> None:
         mark = token[0][0]
         open_brackets += (mark in "[{") - (mark in "]}")
         # A quoted part of a key ends no key.
-        parts = parts + 1 if mark == "." else parts if mark in "\"'" else 0
+        parts = parts + 1 if mark == "." else parts if mark in "\"'0123456789" else 0
         if open_brackets > DEEPEST or parts >= DEEPEST:
             line = 1 + text.count("\n", 0, token.start())
             raise kind(sentence("toml_and_json.nested", label=label, line=line, deepest=DEEPEST))
@@ -106,6 +108,8 @@ def _check_values(content: dict[str, object], text: str, label: str, kind: type[
     while waiting:
         place, outer = waiting.pop()
         for key, value in outer.items() if isinstance(outer, dict) else enumerate(outer):
+            if isinstance(value, float):
+                continue
             if isinstance(value, dict | list):
                 if len(place) >= DEEPEST:
                     raise kind(sentence("toml_and_json.nested", label=label, line=line_of(text, place), deepest=DEEPEST))

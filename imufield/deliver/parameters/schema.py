@@ -54,7 +54,8 @@ def _json_value(value: object) -> object:
     if isinstance(value, dict):
         return json_ready(value)
     if isinstance(value, list):
-        return [_json_value(item) for item in value]
+        # Only NaN differs from itself.
+        return [item if isinstance(item, float) and item == item else _json_value(item) for item in value]  # noqa: PLR0124
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
