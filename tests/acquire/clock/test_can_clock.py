@@ -289,6 +289,13 @@ def test_a_counter_that_goes_on_beyond_its_stated_end_loses_nothing_there(stated
     assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
 
 
+@pytest.mark.parametrize("block", [1, 9, 4000])
+def test_a_counter_that_begins_at_one_loses_nothing_where_it_does(block: int) -> None:
+    kept = np.delete(np.arange(3000), [1700, 2100, 2101])
+    _, statistics = run(kept / 100.0, counter=1 + kept % 15, modulus=15, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
+
+
 def test_a_longer_round_of_the_counter_is_longer_than_a_burst() -> None:
     clock = CanClock(ClockRule(counter_modulus=2), SampleUnits(), DecoderStatistics())
     phase = _Phase(period_s=0.01, window_s=0.25, delay_s=0.02)
