@@ -112,7 +112,7 @@ class CanSignal:
     def stated_modulus(self, *, from_one: bool = False) -> int:
         """Return how many raw numbers a counter or a time stamp has, by the stated range, else by the bits.
 
-        The range must have 0 and 1; ``from_one``: it may also begin at 1, as that of a counter does whose 0 says something else.
+        The range must have 0 and 1; ``from_one``: it may begin at 1, too, as that of a counter whose 0 says something else.
         """
         first, last = ((end - self.offset) / self.factor for end in (self.minimum, self.maximum))
         if not (-self.modulus < first <= from_one and max(first, 0) < last < self.modulus):
