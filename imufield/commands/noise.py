@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
@@ -76,8 +78,10 @@ def run_noise(options: NoiseOptions) -> None:
     _print(result)
 
 
-def _scales(session: Session, parameters: Parameters | None) -> tuple[Scale, Scale]:
-    """Return raw units per SI of both triads: calibrated ones where there are parameters, else what the protocol states.
+def _scales(session: Session, parameters: Parameters | None) -> tuple[Scale, Scale, FloatArray]:
+    """Return raw units per SI of both triads, and the accelerometer's raw output at zero input, shape (3,).
+
+    Calibrated ones where there are parameters, else what protocol and session state.
 
     Raises
     ------
@@ -86,14 +90,16 @@ def _scales(session: Session, parameters: Parameters | None) -> tuple[Scale, Sca
     """
     protocol = session_protocol(session)
     if parameters is None:
-        return protocol.nominal.accelerometer_scale, protocol.nominal.gyroscope_scale
+        stated = session.record.nominal.raw_zero
+        raw_zero = protocol.raw_zero_rate(None if stated is None else np.array(stated))
+        return protocol.nominal.accelerometer_scale, protocol.nominal.gyroscope_scale, raw_zero[:3]
     parameters.check_instrument(session.serial_number)
     parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
     accelerometer, gyroscope = parameters.calibration.accelerometer, parameters.calibration.gyroscope
     if gyroscope is None or not parameters.gyroscope_is_complete:
-        return accelerometer.scale, protocol.nominal.gyroscope_scale
+        return accelerometer.scale, protocol.nominal.gyroscope_scale, accelerometer.offset
     parameters.check_unit("gyroscope", protocol.units.gyroscope_rate_unit)
-    return accelerometer.scale, gyroscope.parameters.scale
+    return accelerometer.scale, gyroscope.parameters.scale, accelerometer.offset
 
 
 def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> Path | None:

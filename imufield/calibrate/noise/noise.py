@@ -43,6 +43,7 @@ _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_f
 _FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
 _HOURS = 3600.0
 _SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
+_GRAVITY_SHARE = 0.25  # Of gravity: further off is a wrong unit or range, or an offset that has to be calibrated first.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +164,8 @@ class NoiseStream:
     units : SampleUnits
     accelerometer_scale, gyroscope_scale : float or ndarray, shape (3,), optional
         Raw unit per SI, from a calibration or the driver; without them figures stay in raw units.
+    raw_zero : ndarray, shape (3,), optional
+        Rates of the accelerometer at zero input: what tells a unit that was moved is the direction of what is left.
     """
 
     def __init__(
@@ -170,11 +173,13 @@ class NoiseStream:
         units: SampleUnits,
         accelerometer_scale: FloatArray | float | None = None,
         gyroscope_scale: FloatArray | float | None = None,
+        raw_zero: FloatArray | None = None,
     ) -> None:
         self._units = units
         given = ((accelerometer_scale, units.accelerometer, "m/s"), (gyroscope_scale, units.gyroscope, "rad"))
         self.is_si = all(scale is not None or unit.startswith(si) for scale, unit, si in given)
         self._scale = np.concatenate([np.broadcast_to(1.0 if scale is None else scale, 3) for scale, _, _ in given])
+        self._zero = np.zeros(3) if raw_zero is None else raw_zero
         self._grid: EvenGrid | None = None
         self._columns = 6
         self._best: _Stretch | None = None
@@ -185,7 +190,7 @@ class NoiseStream:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        values = np.concatenate([samples.accelerometer_rate(), samples.gyroscope_rate()], axis=1) / self._scale
+        values = np.hstack([samples.accelerometer_rate() - self._zero, samples.gyroscope_rate()]) / self._scale
         if self._grid is None:
             if len(samples) < _FIRST_BLOCK:
                 return
@@ -227,6 +232,8 @@ class NoiseStream:
             sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:
             sentences.append(sentence("noise.bridged", count=best.bridged))
+        if self.is_si and abs(best.length - STANDARD_GRAVITY_M_S2) > _GRAVITY_SHARE * STANDARD_GRAVITY_M_S2:
+            sentences.append(sentence("noise.no_gravity", found_m_s2=best.length))
         sentences += _hidden(axes, best.duration_s / _HOURS)
         return NoiseResult(
             axes=tuple(axes),
@@ -297,11 +304,16 @@ class _Stretch:
         """From the first to the last sample."""
         return self.stream.samples * self.interval_s
 
+    @property
+    def length(self) -> float:
+        """Of the accelerometer's mean of the last minute."""
+        return math.nan if self._reference is None else float(np.linalg.norm(self._reference))
+
     def is_moved(self, mean: FloatArray) -> bool:
         """Whether the mean of a second (3,) is that of a unit that was moved."""
         if self._reference is None:
             return False
-        return float(np.abs(mean - self._reference).max()) > MOVED * float(np.linalg.norm(self._reference))
+        return float(np.abs(mean - self._reference).max()) > MOVED * self.length
 
     def follow(self, mean: FloatArray) -> None:
         """Let the reference follow the mean of a second."""
@@ -325,6 +337,7 @@ def measure_noise(
     blocks: Iterable[Samples],
     accelerometer_scale: FloatArray | float | None = None,
     gyroscope_scale: FloatArray | float | None = None,
+    raw_zero: FloatArray | None = None,
 ) -> NoiseResult:
     """Return the noise of a recording; see ``NoiseStream``.
 
@@ -339,7 +352,7 @@ def measure_noise(
     """
     stream: NoiseStream | None = None
     for block in blocks:
-        stream = stream or NoiseStream(block.units, accelerometer_scale, gyroscope_scale)
+        stream = stream or NoiseStream(block.units, accelerometer_scale, gyroscope_scale, raw_zero)
         stream.feed(block)
     if stream is None:
         raise RecordingError(sentence("noise.no_samples"), Reason.NOT_A_RECORDING)

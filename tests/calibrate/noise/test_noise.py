@@ -175,6 +175,27 @@ def test_moved_units_are_cut_and_the_longest_stretch_is_used() -> None:
     assert result.triad("accelerometer")[2].density.value == pytest.approx(1e-3, rel=0.05)
 
 
+def test_the_raw_zero_of_a_converter_is_no_part_of_what_tells_a_move() -> None:
+    units, zero = SampleUnits(accelerometer="count", gyroscope="count"), 32_768.0
+    blocks = []
+    for block in standstill(0.2):
+        # By 1 degree: of the length with the raw zero in it that is a thousandth.
+        block.accelerometer[block.time_s > 500, 0] += 9.8 * np.sin(np.radians(1.0))
+        counts = 100 * block.accelerometer + zero
+        blocks.append(make_samples(block.time_s, counts, 5000 * block.gyroscope, units=units))
+    result = measure_noise(blocks, 100.0, 5000.0, np.full(3, zero))
+    assert told(result.sentences[:1], "noise.moved")
+    assert not told(result.sentences, "noise.no_gravity")
+    assert result.triad("accelerometer")[0].density.value == pytest.approx(1e-3, rel=0.05)
+
+
+@pytest.mark.parametrize(("factor", "is_told"), [(0.5, True), (0.85, False), (1.2, False), (2.0, True)])
+def test_a_scale_with_which_nothing_shows_gravity_is_told(factor: float, is_told: bool) -> None:
+    result = measure_noise(standstill(0.1), factor, 1.0)
+    found_m_s2 = [each.values["found_m_s2"] for each in told(result.sentences, "noise.no_gravity")]
+    assert found_m_s2 == pytest.approx([9.8 / factor] * is_told, rel=0.02)
+
+
 def test_losses_are_bridged_or_cut() -> None:
     def lossy() -> Iterator[Samples]:
         for block in standstill(0.3):
