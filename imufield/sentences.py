@@ -48,6 +48,11 @@ def _worst(alike: list[str]) -> str:
     sizes = [[abs(float(size)) for word, size in _SIZE.findall(text) if word not in _PLACES] for text in alike]
     differing = next((column for column in zip(*sizes, strict=False) if len(set(column)) > 1), None)
     if differing is None:
+        words = zip(*map(_VARIES.findall, alike), strict=True)
+        first, *others = next(column for column in words if len(set(column)) > 1)
+        # Whoever has to take positions again needs the names of all.
+        if first[0].isalpha():
+            return f"{alike[0].removesuffix('.')}; the same for {', '.join(others)}"
         return f"{len(alike)} sentences like this, the first: {alike[0]}"
     return f"{len(alike)} sentences like this, the largest: {alike[differing.index(max(differing))]}"
 

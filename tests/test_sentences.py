@@ -158,3 +158,12 @@ def test_sentences_without_a_size_have_a_first() -> None:
     saturated = [Sentences("imufield.calibrate.moves")("moves.saturated", begin_s=k, end_s=k + 1) for k in (1, 5, 3, 2)]
     assert folded(saturated)[0].endswith(saturated[0])
     assert "worst" not in folded(saturated)[0]
+
+
+def test_positions_of_which_one_sentence_is_read_are_named() -> None:
+    said = {"names": ["scale x"], "leverage": 1.0}
+    alike = [Sentences("imufield.calibrate.accelerometer")("quality.carries", position=name, **said) for name in OFFS]
+    (told,) = folded(alike)
+    first, *others = OFFS
+    assert told.startswith(f"position {first}")
+    assert told.endswith(", ".join(others))

@@ -34,7 +34,7 @@ from imufield.commands.terminal.output import echo, say_each
 from imufield.dataclass import replace
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.guide.lead.still_scales import find_scales
+from imufield.guide.lead.still_scales import CONTRADICTIONS, find_scales
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples, require_possible_degc
@@ -59,7 +59,9 @@ def run_import(options: ImportOptions) -> Session:
         return session
     say_each(assumptions, err=True, indent=2)
     echo(beside("session", session.folder))
-    echo(beside("next: ", f"imufield solve {shell_word(session.folder)}"))
+    # Where a unit is wrong, what was said of it is the next step.
+    if not any(getattr(each, "key", "") in CONTRADICTIONS for each in assumptions):
+        echo(beside("next: ", f"imufield solve {shell_word(session.folder)}"))
     return session
 
 

@@ -21,6 +21,7 @@ from imufield.commands.terminal.output import echo, say, say_each, tell_written,
 from imufield.dataclass import replace
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, UsageError
 from imufield.files import refuse_overwriting, source_date
 from imufield.pipeline.chain import session_samples
@@ -53,6 +54,9 @@ def run_noise(options: NoiseOptions) -> None:
     source_date()
     parameters = None if options.parameters is None else load(options.parameters)
     session = open_or_newest(options.session)
+    if options.session is None and not options.as_json:
+        # The newest, which a person may not expect.
+        echo(beside("session", session.folder))
     scales = _scales(session, parameters)
     # Before an hour of samples is read for nothing.
     for path in filter(None, (options.output, options.plot)):

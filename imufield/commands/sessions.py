@@ -26,7 +26,10 @@ sentence = Sentences(__package__)
 Row = dict[str, Any]  # Texts and numbers, in JSON under the same names.
 # The others of a parameter file are most of it, and take most of the time.
 _TABLES = re.compile(r"^\[(?:session|quality|integrity)\]\n(?:(?!\[).*\n)*", re.MULTILINE)
-_NOT_KNOWN = ("created", "instrument", "serial_number", "port", "kind", "planned", "positions", "verdict", "fault", "leads_to")
+_NOT_KNOWN = (
+    *("created", "instrument", "serial_number", "port", "kind"),
+    *("planned", "positions", "used", "verdict", "fault", "leads_to"),
+)
 
 
 def list_sessions(options: SessionsOptions) -> None:
@@ -60,7 +63,7 @@ def list_sessions(options: SessionsOptions) -> None:
 
 
 def _row(folder: Path, root: Path) -> Row:
-    """Return what is listed of a session: ``planned`` positions were asked for, ``positions`` measured, or used where solved.
+    """Return what is listed of a session: ``planned`` positions were asked for, ``positions`` measured, ``used`` to solve it.
 
     ``leads_to`` is where a link leads that stands for a folder of elsewhere.
     """
@@ -75,11 +78,12 @@ def _row(folder: Path, root: Path) -> Row:
     record = session.record
     row |= {"created": record.created, "instrument": record.model, "serial_number": record.instrument.serial_number}
     row |= {"port": record.link.port, "kind": record.kind, "planned": _planned(session)}
-    row["positions"] = record.accepted
     row["state"] = "recording" if session.is_being_recorded else "finished" if record.finished else "unfinished"
     # Most have no parameters because nobody has solved them yet.
     path = folder / PARAMETER_FILE
-    return row | _solved(path) if path.exists() else row
+    row |= _solved(path) if path.exists() else {}
+    # Whoever was not guided counted none.
+    return row | {"positions": row["used"] if record.accepted is None else record.accepted}
 
 
 def _solved(path: Path) -> Row:
@@ -92,7 +96,7 @@ def _solved(path: Path) -> Row:
         return cut
     verdict, positions = tables.get("quality", {}).get("verdict"), tables.get("session", {}).get("positions")
     is_whole = verdict in VERDICTS and isinstance(positions, int) and "integrity" in tables
-    return {"verdict": verdict, "positions": positions} if is_whole else cut
+    return {"verdict": verdict, "used": positions} if is_whole else cut
 
 
 def _planned(session: Session) -> int | None:
@@ -106,6 +110,11 @@ def _planned(session: Session) -> int | None:
 def _what(row: Row) -> str:
     """Return all but instrument, folder and fault."""
     state = f"{row['state']}, not solved" if row["verdict"] is None else row["verdict"].upper()
+    if row["used"] is not None and row["used"] != row["positions"]:
+        # Measured since, or left out.
+        state += f" ({row['used']} used)"
+    if row["verdict"] is not None and row["state"] == "recording":
+        state = f"recording, {state}"
     planned = f" of {row['planned']}" if row["planned"] else ""
     complete = "" if row["positions"] is None else f"{row['positions']}{planned} positions"
     when = (row["created"] or "")[:16].replace("T", " ")

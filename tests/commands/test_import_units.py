@@ -104,6 +104,15 @@ def test_the_common_scale_is_said(tmp_path: Path) -> None:
     assert words.values["ratio"] == pytest.approx(1.07, rel=0.02)  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(("stated", "is_next"), [("m/s^2", True), ("g", False)])
+def test_what_cannot_be_solved_is_not_the_next_step(
+    tmp_path: Path, stated: str, is_next: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setting = f"accelerometer_unit={stated}"
+    assert run(["import", str(table(tmp_path)), "-o", str(tmp_path / "session"), "--set", setting]) == 0
+    assert ("imufield solve" in capsys.readouterr().out) == is_next
+
+
 def test_a_stated_unit_that_the_stills_contradict_is_kept_and_told(tmp_path: Path) -> None:
     header = "time_s,ax (m/s^2),ay (m/s^2),az (m/s^2),gx (rad/s),gy (rad/s),gz (rad/s)"
     session, said = imported(table(tmp_path, 1 / G, np.degrees(1.0), header=header))

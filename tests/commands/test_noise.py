@@ -50,6 +50,15 @@ def test_every_figure_has_its_interval_and_unit_in_80_columns(tmp_path: Path, ca
     assert density == pytest.approx([1e-6 / 20**0.5] * 3, rel=0.1)
 
 
+def test_the_newest_session_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest_session(tmp_path / "imufield-sessions" / "20260301T101500Z-rest", 30.0)
+    monkeypatch.chdir(tmp_path)
+    assert run(["noise"]) == 6
+    assert "20260301T101500Z-rest" in capsys.readouterr().out
+
+
 def test_every_file_that_is_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = rest_session(tmp_path, 600.0).folder
     files = [tmp_path / "noise.yaml", tmp_path / "allan.svg"]

@@ -52,7 +52,21 @@ def test_tables_say_their_units_and_what_to_leave_out(
     assert marked > 100
     assert f"{marked} rows marked unusable in the column status, {marked} of them during start-up (flag 16)" in told
     assert run(["apply", str(solved_session), str(session.folder), "-o", str(tmp_path / "corrected.csv")]) == 0
-    assert "specific force in m/s^2, angular rate in rad/s" in capsys.readouterr().out
+    told = " ".join(capsys.readouterr().out.split())
+    assert not missing(told, "specific force in m/s^2, angular rate in rad/s", "serial number")
+
+
+def test_only_another_session_is_asked_for_its_serial_number(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["apply", str(solved_session), str(solved_session), "-o", str(tmp_path / "corrected.csv")]) == 0
+    assert "serial number" not in capsys.readouterr().out
+
+
+def test_parameters_are_printed_in_a_line(solved_session: Path) -> None:
+    parameters = imufield.load(solved_session)
+    assert not missing(repr(parameters), parameters.context.instrument.model, parameters.context.measured, "GOOD")
+    assert len(repr(parameters)) < 150
 
 
 def test_the_folder_of_a_session_stands_for_its_parameters(

@@ -33,11 +33,12 @@ from imufield.acquire.instrument.connected import (
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.recognise import Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
-from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.host_clock import HostClock, ScaledClock
 from imufield.acquire.link.link_errors import check_port
 from imufield.acquire.link.ports import serial_ports
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.dataclass import replace
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.sentences import Sentences
 
@@ -90,7 +91,8 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
             raise _not_understood(port, result, say)
         if instrument is None and listener.candidate.driver is not None:
             instrument = Instrument(listener.candidate.driver, clock)
-        return _introduced(result, listener, instrument, options, say=say)
+        introduced = _introduced(result, listener, instrument, options, say=say)
+        return replace(introduced, is_virtual=isinstance(clock, ScaledClock))
     except BaseException:
         try:
             if instrument is not None and instrument.is_changed:

@@ -51,7 +51,6 @@ def capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Captu
     with ExitStack() as stack:
         stack.callback(connected.close)
         session = new_session(how, connected, how.site)
-        session.update(link={**session.metadata["link"], "is_virtual": True})
         stack.enter_context(session.lock())
         return guided_session(session, connected, clock, how, check=check)
 

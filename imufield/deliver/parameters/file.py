@@ -90,6 +90,12 @@ class Parameters:
     of_recording: tuple[str, ...] = ()
     """What a solve found missing, damaged or refused in its recording, in sentences; empty for a loaded file."""
 
+    def __repr__(self) -> str:
+        """Return who and how good: all of it is 300 lines of numbers."""
+        own, verdict = self.context.instrument, self.calibration.quality.verdict
+        who = " ".join(filter(None, (own.model or own.driver, own.serial_number))) or "unknown instrument"
+        return f"<Parameters of {who}, measured {self.context.measured}, {verdict.upper()}>"
+
     @property
     def is_converted(self) -> bool:
         """Whether the document is of a newer version than the file."""

@@ -57,6 +57,8 @@ _KINDS = {
         "still_scales.no_gyroscope_unit",
     ),
 }
+CONTRADICTIONS = frozenset(key for kind in _KINDS.values() for key in (kind.contradicted, kind.fits_none))
+"""Keys of the sentences that tell of a stated unit that it is another."""
 
 
 @dataclass(frozen=True, slots=True)
