@@ -12,7 +12,7 @@ from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.calibrate.model.observations import leave_out
+from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.terminal.output import echo, say, tell_written
@@ -35,6 +35,7 @@ from imufield.deliver.verification.result import (
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.files import refuse_overwriting
+from imufield.guide.events import RefusalCode
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import kept
@@ -156,7 +157,9 @@ def _verify(task: _Task) -> Verification:
         navigated = navigation.finish()
         if left_out is None and navigated is None:
             least_s = task.options.align_s + SHORTEST_S
-            raise problems[0] if problems else CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
+            nothing = CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
+            # Where it is not gravity that acts, all else follows from it.
+            raise next((error for error in problems if error.reason is Reason.GRAVITY), [*problems, nothing][0])
     parameters = task.parameters
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
@@ -184,7 +187,7 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
             # For other raw units they are refused, as applying them would; without a protocol there is no sample.
             if protocol is not None:
                 parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
-        observations = chain.observations() if reading is None else reading.observations
+        observations = _observed(chain) if reading is None else reading.observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
             # Its own positions were measured where the parameters hold; others may come from the cold.
@@ -201,6 +204,18 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
             raise
         problems.append(error)
         return None
+
+
+def _observed(chain: Chain) -> Observations:
+    """Return the observations; raise why none counts where all were refused."""
+    if chain.guide is not None:
+        return chain.observations()
+    found = chain.still_intervals()
+    if found.refused and not len(found.observations):
+        _, refusal = found.refused[-1]
+        reason = Reason.GRAVITY if refusal.reason is RefusalCode.GRAVITY else Reason.TOO_FEW
+        raise CalibrationError(sentence("verify.refused", words=refusal.words.removesuffix("."), remedy=refusal.remedy), reason)
+    return found.observations
 
 
 def _gravity_notes(task: _Task, found: LeftOutPositions) -> Iterator[str]:

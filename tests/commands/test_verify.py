@@ -196,6 +196,14 @@ def test_a_requirement_stays_until_it_is_verified_again(
     assert kept() == {"passed": True, "nav-nmi-per-h": (1e6, rest.name), "residual-ug": (5000.0, short.name)}
 
 
+def test_a_standstill_in_a_wrong_unit_proves_nothing(solved: Path, tmp_path: Path) -> None:
+    # m/s^2 that are called g: gravity is ten times too large.
+    rest = rest_session(tmp_path / "rest", 700.0, unit="g")
+    command = ["verify", str(solved / "parameters.toml"), str(rest.folder), "--require", "nav-nmi-per-h=1000"]
+    for more in ([], ["--align-s", "60"]):
+        fails([*command, *more], 6, Reason.GRAVITY, key="verify.refused")
+
+
 def test_positions_that_hide_an_error_meet_no_requirement(
     solved: Path, make_session: Callable[..., Session], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imufield.deliver.navigation.drift import Drift
-from imufield.errors import Reason, UsageError
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -134,7 +134,11 @@ class Mechanisation:
         pandas, util = self._pyins.pandas, self._pyins.util
         imu = pandas.DataFrame(rows[:, 1:], index=rows[:, 0], columns=[*util.GYRO_COLS, *util.ACCEL_COLS])
         increments = self._pyins.strapdown.compute_increments_from_imu(imu, "rate")
-        trajectory = integrate(self._state, rows[0, 0], increments)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                trajectory = integrate(self._state, rows[0, 0], increments)
+        except np.linalg.LinAlgError as error:
+            raise RecordingError(sentence("mechanise.diverged"), Reason.NOT_FINITE) from error
         self._state = trajectory.iloc[-1].to_numpy()
         # The first row of each second is kept.
         time_s = trajectory.index.to_numpy() - self._start_s

@@ -39,6 +39,8 @@ LARGEST_LOSS = 0.01  # More is no accident of the wire but a wrong protocol.
 TOUCHED_S = 3.0
 """Moving seconds that are forgiven: a door, a bump against the table."""
 TURNED_DEG = 20.0  # Less is the table giving way, not somebody turning the instrument over.
+GRAVITY_SHARE = 0.05
+"""Of gravity, by which calibrated force at rest may differ: more is a wrong unit or range, or another instrument."""
 LARGEST_HEADING_SIGMA_RAD = 0.5
 """Beyond, the forecast's equations are not linear any more and the heading is a guess."""
 
@@ -106,7 +108,9 @@ class StaticNavigation:
         load_pyins()
         self.settings = settings
         self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
-        self._sets = {name: ParameterSet(apply, settings) for name, apply in sets.items()}
+        *_, tested = sets
+        # What the one under test is compared with may be a nominal scale, whose offsets nobody knows.
+        self._sets = {name: ParameterSet(apply, settings, is_calibrated=name == tested) for name, apply in sets.items()}
         self._temperature = TemperatureHold()
         self._counts = np.zeros(2, dtype=np.int64)
         self._gap_s = 0.0
@@ -129,6 +133,9 @@ class StaticNavigation:
         self._gap_s = max(self._gap_s, float(np.diff(kept.time_s, prepend=self._last_s).max()))
         self._last_s = float(kept.time_s[-1])
         try:
+            # Navigated across, a hole may end at no attitude at all.
+            if self._gap_s > LONGEST_GAP_S:
+                raise RecordingError(sentence("check.gap", gap_s=self._gap_s, limit_s=LONGEST_GAP_S))
             for parameter_set in self._sets.values():
                 parameter_set.feed(kept)
         except RecordingError as error:
@@ -176,8 +183,6 @@ class StaticNavigation:
             align_s = self.settings.align_s
             refused = sentence("check.too_short", duration_s=there_s, needed_s=needed_s, align_s=align_s)
             raise RecordingError(refused, Reason.TOO_FEW)
-        if self._gap_s > LONGEST_GAP_S:
-            raise RecordingError(sentence("check.gap", gap_s=self._gap_s, limit_s=LONGEST_GAP_S))
 
     def _check_moves(self, means: FloatArray, moving: NDArray[np.bool_]) -> None:
         at_s, turned_deg = int(np.argmax(moving)) * SECOND_S, 0.0
@@ -223,9 +228,10 @@ class StaticNavigation:
 class ParameterSet:
     """Correct, align, mechanise with one parameter set."""
 
-    def __init__(self, apply: Apply, settings: CheckSettings) -> None:
+    def __init__(self, apply: Apply, settings: CheckSettings, *, is_calibrated: bool) -> None:
         self._apply = apply
         self._settings = settings
+        self._is_calibrated = is_calibrated
         self._seconds: IntervalMeans | None = None
         self._waiting: list[Corrected] = []
         self.alignment: Alignment | None = None
@@ -264,6 +270,10 @@ class ParameterSet:
         if moving.sum() > TOUCHED_S:
             refused = sentence("check.moves_in_alignment", at_s=int(np.argmax(moving)), align_s=settings.align_s)
             raise RecordingError(refused, Reason.BAD_DATA)
+        force_m_s2, gravity_m_s2 = float(np.linalg.norm(means[:, :3].mean(axis=0))), settings.gravity_m_s2
+        if self._is_calibrated and abs(force_m_s2 / gravity_m_s2 - 1) > GRAVITY_SHARE:
+            refused = sentence("check.no_gravity", force_m_s2=force_m_s2, gravity_m_s2=gravity_m_s2, limit=GRAVITY_SHARE)
+            raise RecordingError(refused, Reason.GRAVITY)
         rest = RestMeans(SECOND_S, means[:, :3], means[:, 3:])
         self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads(), settings.heading)
         self.mechanisation = Mechanisation(self.alignment.attitude, end_s, settings.latitude_deg, settings.height_m)

@@ -133,11 +133,40 @@ def test_values_that_are_no_numbers_are_bridged_up_to_a_limit() -> None:
     assert caught.value.reason is Reason.NOT_FINITE
 
 
+@pytest.mark.parametrize("factor", [0.0, 0.1, 1.1, 1e6])
+def test_force_that_is_not_gravity_is_refused(factor: float) -> None:
+    samples = recording(random_attitude(0), 900, 10.0)
+    samples = replace(samples, accelerometer=factor * samples.accelerometer)
+    with refused(RecordingError, Reason.GRAVITY, "5%", key="check.no_gravity") as caught:
+        check(samples)
+    assert caught.value.values["force_m_s2"] == pytest.approx(9.8 * factor, rel=0.01)
+
+
+def test_parameters_that_are_only_compared_with_may_be_nominal_but_not_absurd() -> None:
+    samples = recording(random_attitude(0), 900, 10.0)
+
+    def off(factor: float) -> NavigationResult:
+        navigation = StaticNavigation(
+            {"before": lambda block: as_sent(replace(block, accelerometer=factor * block.accelerometer)), "after": as_sent},
+            SETTINGS,
+        )
+        navigation.feed(samples)
+        return navigation.finish()
+
+    assert off(1.2).drifts["before"].position_nmi.max() < 1.0
+    with refused(RecordingError, Reason.NOT_FINITE, key="mechanise.diverged"):
+        off(1e12)
+
+
 def test_a_hole_is_refused() -> None:
     samples = recording(random_attitude(0), 900, 10.0)
     with refused(RecordingError, Reason.DAMAGED, "5 s", key="check.gap") as caught:
         check(concatenate([samples[:5000], samples[5200:]]))
     assert caught.value.values["gap_s"] == pytest.approx(20.1)
+    # Milliseconds that are taken for seconds: navigated, such steps would end at no attitude.
+    slow = replace(samples, time_s=1000 * samples.time_s)
+    with refused(RecordingError, Reason.DAMAGED, "5 s", key="check.gap"):
+        check(slow, replace(SETTINGS, align_s=60.0))
 
 
 def test_no_forecast_where_north_is_a_guess() -> None:
