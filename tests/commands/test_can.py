@@ -149,7 +149,7 @@ def test_a_guided_session_on_slcan_then_solve(program: Program, emulate: Emulate
     assert [event["event"] for event in told].count("accepted") == 6
     assert not [event for event in told if event.get("reason") == "axes"]
     metadata = Session.newest(program.folder / "imufield-sessions").metadata
-    assert metadata["link"] == {"bus": on_slcan(emulator), "bit_rate": 500000}
+    assert metadata["link"] == {"bus": on_slcan(emulator), "bit_rate": 500000, "is_virtual": True}
     assert metadata["instrument"]["driver"] == "my_imu"
     # Everything that decodes it is in the session.
     dbc.unlink()

@@ -22,6 +22,7 @@ took follows from the counter and the step of E together, and is an estimate. A 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
 from imufield.acquire.clock.frame_stamps import FrameStamps
 from imufield.acquire.clock.stamp_clock import steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
-from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decode.statistics import NO_COUNT, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import dataclass, field, replace
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
@@ -43,6 +44,9 @@ _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host un
 _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
+_LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
+_SAME_FALLS = 4  # Where one sample of twenty is lost, two in a row are at one place in every 400th round.
+_COUNTING = 0.25  # Share of the samples that are a step of the counter apart where it counts them: three of four may be lost.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -78,13 +82,14 @@ class CanClock(Clock):
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._newest = np.full(2, NO_COUNTER, dtype=np.int64)  # The last counts that came.
+        self._falls: deque[tuple[int, int]] = deque(maxlen=_SAME_FALLS)  # The counts about the last irregular new beginnings.
         self._counter_step = 1
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        self._widen(block.counter)
+        self._settle_modulus(block.counter)
         self._pending.append(self._continuous(block))
         return self._release(last=False)
 
@@ -92,16 +97,35 @@ class CanClock(Clock):
         """Return what is kept back; nothing will follow."""
         return self._release(last=True) if self._pending else None
 
-    def _widen(self, counter: IntArray) -> None:
-        """Let a counter that goes on beyond its stated end go on to the next power of two: ranges of DBC files may be wrong.
-
-        A number beyond the end is a count where those before and behind it fit; else it stands for something (15: none).
-        """
+    def _settle_modulus(self, counter: IntArray) -> None:
+        """Correct where the counter begins anew by where it does: ranges of DBC files may be wrong, and many state none."""
         if not self._modulus:
             return
         seen, self._newest = np.append(self._newest, counter), np.append(self._newest, counter)[-2:]
-        if seen[seen.argmax()] < self._modulus:
-            return
+        before = self._modulus
+        if seen[seen.argmax()] >= before:
+            self._widen(seen)
+        self._narrow(seen[1:])
+        if self._modulus != before and self._phase is not None:
+            self._set_unit(self._phase)
+
+    def _narrow(self, seen: IntArray) -> None:
+        """Let a counter do so where it begins anew several times in a row; losses are not at one place."""
+        falls = (seen[1:] < seen[:-1]) & (seen[1:] >= 0) & (seen[:-1] < self._modulus)
+        for place in np.flatnonzero(falls).tolist():
+            last, first = int(seen[place]), int(seen[place + 1])
+            if (first - last) % self._modulus in self._rule.counter_steps or last - first < _LEAST_ROUND:
+                self._falls.clear()
+                continue
+            self._falls.append((last, first))
+            if self._falls.count((last, first)) == _SAME_FALLS:
+                self._modulus = last - first + min(self._rule.counter_steps)
+
+    def _widen(self, seen: IntArray) -> None:
+        """Let a counter that goes on beyond its stated end go on to the next power of two.
+
+        A number beyond the end is a count where those before and behind it fit; else it stands for something (15: none).
+        """
         steps = np.diff(seen)
         fits = (seen[1:-1] >= self._modulus) & (seen[:-2] >= 0) & np.isin(steps[:-1], self._rule.counter_steps)
         # From the number beyond the end the counter goes on by the same step, or begins anew behind it.
@@ -112,8 +136,6 @@ class CanClock(Clock):
             ends += [count] if (behind - count) % (1 << count.bit_length()) == steps[place] else []
         if max(ends) >= self._modulus:
             self._modulus = min(1 << max(ends).bit_length(), _LARGEST_MODULUS)
-            if self._phase is not None:
-                self._set_unit(self._phase)
 
     def _is_count(self, counter: IntArray) -> NDArray[np.bool_]:
         return np.asarray((counter >= 0) & (counter < self._modulus))
@@ -164,6 +186,10 @@ class CanClock(Clock):
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
+            if len(steps) >= LEARN_SAMPLES and sum(counts) < _COUNTING * len(steps):
+                # It stands, runs back, or counts something else.
+                self._modulus, self._last_counter = 0, None
+                self._statistics.count(NO_COUNT, len(block))
         steps = self._steps(block.counter)
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)

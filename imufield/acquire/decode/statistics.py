@@ -15,6 +15,7 @@ sentence = Sentences(__package__)
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
 NO_TIME = "sample without a time"
+NO_COUNT = "sample without a count"
 """Kind under which samples are counted whose time stamps are no times."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
 _KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
@@ -126,6 +127,8 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
         found.append(sentence("statistics.left_out", left_out=left_out, samples=samples))
     if any(NO_TIME in part.by_kind for part in parts):
         found.append(sentence("statistics.no_time"))
+    if any(NO_COUNT in part.by_kind for part in parts):
+        found.append(sentence("statistics.no_count"))
     if resets:
         found.append(sentence("statistics.resets", times="once" if resets == 1 else f"{resets} times"))
     least_loss_s = max((part.least_loss_s for part in parts), default=0.0)

@@ -109,13 +109,11 @@ class CanSignal:
             return (self._first_bit_in_order + self.length + 7) // 8
         return (self.start + self.length + 7) // 8
 
-    def stated_modulus(self, *, from_one: bool = False) -> int:
-        """Return how many raw numbers a counter or a time stamp has, by the stated range, else by the bits.
-
-        The range must have 0 and 1; ``from_one``: it may begin at 1, too, as that of a counter whose 0 says something else.
-        """
+    @property
+    def stated_modulus(self) -> int:
+        """How many raw numbers a counter or a time stamp has: by the stated range where that has 0 and 1, else by the bits."""
         first, last = ((end - self.offset) / self.factor for end in (self.minimum, self.maximum))
-        if not (-self.modulus < first <= from_one and max(first, 0) < last < self.modulus):
+        if not -self.modulus < first <= 0 < 1 <= last < self.modulus:
             return self.modulus
         # A count that a factor of 0.1 makes to a decimal fraction is whole but for rounding.
         is_whole = all(abs(end - round(end)) <= _ROUNDING * abs(end) for end in (first, last))

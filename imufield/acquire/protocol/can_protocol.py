@@ -219,7 +219,7 @@ class _Mapping:
                 raise clock.error("counter_modulus", sentence("can_protocol.no_counter"))
             return 0
         check_whole(clock, "counter_modulus", counter, counter_modulus=stated - 1)
-        self._counter_kind.counter_modulus = stated or min(counter.stated_modulus(from_one=True), 1 << COUNTER_BITS)
+        self._counter_kind.counter_modulus = stated or min(counter.stated_modulus, 1 << COUNTER_BITS)
         return self._counter_kind.counter_modulus
 
     def triad(self, part: str) -> str:
@@ -271,8 +271,7 @@ class _Mapping:
             unit = unit_name(signal.unit, "time")
             # A factor of 0 is refused with the other rates that no clock has.
             self.ticks_per_s = 1.0 / (SECONDS[unit or "s"] * abs(signal.factor) or math.inf)
-            modulus = signal.stated_modulus()
-            self.time_modulus = modulus if modulus < 1 << _LONG_TIME_BITS else 0
+            self.time_modulus = signal.stated_modulus if signal.stated_modulus < 1 << _LONG_TIME_BITS else 0
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
             flag = read_flag(each, "signal")
