@@ -142,7 +142,7 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
     if suffix == CANDUMP:
         # Its reader looks at one line after the other and makes nothing of a length that stands there.
         with foreign_file_reader.open_log(path) as file:
-            yield from _of_candump(foreign_file_reader.text_lines(file))
+            yield from _of_candump(foreign_file_reader.text_lines(file), end)
         return
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
@@ -160,21 +160,35 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
     end["code"] = process.returncode
 
 
-def _of_candump(lines: Iterable[str]) -> Iterator[can.Message]:
-    """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data."""
-    is_error = False
+def _of_candump(lines: Iterable[str], end: dict[str, Any]) -> Iterator[can.Message]:
+    """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data.
+
+    Lines that are no frames are left out, and noted in ``end``: a logger whose power was cut goes on in the middle of one.
+    """
+    counted = enumerate(lines, 1)
+    is_error, taken = False, 0  # The number of the line that is made a frame of; 0 while one is read.
 
     def plain() -> Iterator[str]:
-        nonlocal is_error
-        for line in lines:
+        nonlocal is_error, taken
+        for number, line in counted:
             text, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
-            is_error = bool(errors)
+            is_error, taken = bool(errors), number
             yield text
+            taken = 0
 
-    # A line is taken only when the frame of the one before has been.
-    for message in can.CanutilsLogReader(cast("TextIO", plain())):
-        message.is_error_frame = is_error
-        yield message
+    while True:
+        try:
+            # A line is taken only when the frame of the one before has been.
+            for message in can.CanutilsLogReader(cast("TextIO", plain())):
+                message.is_error_frame = is_error
+                yield message
+            return
+        except foreign_file_reader.DAMAGE:
+            # The file itself is damaged, or is none of this kind.
+            if not (taken and end["read"]):
+                raise
+            end.setdefault("bad", []).append(taken)
+            taken = 0
 
 
 def _message(line: str) -> can.Message:
@@ -219,6 +233,8 @@ def _missing(path: Path, end: Mapping[str, Any]) -> str:
         return sentence("can_logs.stuck", limit_s=foreign_file_reader.longest_s(size), **here)
     if "code" in end:
         raise ValueError(f"its reader broke down ({end['code']})")
+    if end.get("bad"):
+        return sentence("can_logs.bad_lines", path=str(path), lines=len(end["bad"]), first=end["bad"][0])
     if end.get("frames") == 0:
         return sentence("can_logs.never_closed", **here)
     # A packed file that is cut cannot be unpacked to its end, which is an error of its own.

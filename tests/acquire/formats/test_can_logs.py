@@ -33,6 +33,7 @@ from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import concatenate
 from imufield.sentences import Sentence
 from tests.refused import refused
+from tests.told import told
 
 START_S = 1_700_000_000.0
 
@@ -463,3 +464,18 @@ def test_replay_to_a_bus(tmp_path: Path) -> None:
         assert replay_to_bus(session, f"virtual:{channel}", pace=None) == 30
     with pytest.raises(UsageError):
         replay_to_bus(session, f"virtual:{channel}", pace=0.0)
+
+
+def test_lines_of_a_candump_that_are_no_frames_are_left_out_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    with can.Logger(path) as logger:
+        for message in make_messages(50):
+            logger(message)
+    lines = path.read_text().splitlines()
+    # Where the power was cut, and what somebody wrote between.
+    path.write_text("\n".join([*lines[:20], lines[20][:25], *lines[21:30], "restarted", "", *lines[30:], lines[0][:30]]))
+    losses: list[str] = []
+    assert sum(len(list(unpack_frames(chunk.data))) for chunk in read_log(path, losses=losses)) == 49
+    (lost,) = told(losses, "can_logs.bad_lines")
+    assert (lost.values["lines"], lost.values["first"]) == (3, 21)
+    assert len(losses) == 1
