@@ -185,7 +185,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
         # Messages among the samples say how the instrument is set.
         return _import_bytes(options, told)
     counts = decoder.statistics
-    if not counts.samples:
+    if counts.samples_incomplete == counts.samples:  # Also of none at all.
         first = b"" if protocol.can is not None else next((chunk.data for chunk in _chunks(options, protocol, [])), b"")
         if differs := other_lines(str(options.files[0]), read_lines(first), protocol):
             raise RecordingError(differs, Reason.NO_FRAMES)

@@ -157,10 +157,21 @@ def test_a_log_of_two_buses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     path = tmp_path / "two.log"
     write_log(path, load_driver("aceinna_can").load_protocol())
     lines = path.read_text().splitlines()
-    path.write_text("\n".join(line.replace("can0", f"can{number % 2}") for number, line in enumerate(lines)))
+    path.write_text("\n".join(line.replace("can0", f"can{number // 2 % 2}") for number, line in enumerate(lines)))
     assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "mine") == 2
     assert "choose with --channel" in capsys.readouterr().err
     assert typed("import", path, "--driver", "aceinna_can", "--channel", "can1", "-o", tmp_path / "mine") == 0
+
+
+def test_a_log_in_which_one_of_two_messages_never_comes_is_no_import(tmp_path: Path) -> None:
+    path = tmp_path / "half.log"
+    write_log(path, load_driver("aceinna_can").load_protocol())
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[::2]))
+    options = ImportOptions(files=[path], driver="aceinna_can", output=tmp_path / "mine")
+    with refused(RecordingError, Reason.NO_FRAMES, "AccelerationSensor: 500", key="import_files.log_without_samples"):
+        import_files.import_session(options)
+    assert not (tmp_path / "mine").exists()
 
 
 def test_matlab_and_every_export_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -119,7 +119,9 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
         share = 100 * incomplete / max(samples, 1)
         percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
         key = "statistics.many_incomplete" if share >= _MANY_PERCENT else "statistics.incomplete"
-        found.append(sentence(key, incomplete=incomplete, samples=samples, percent=percent))
+        key = "statistics.never_complete" if incomplete == samples else key
+        kinds = [f"{kind}: {number}" for part in parts for kind, number in part.by_kind.items()]
+        found.append(sentence(key, incomplete=incomplete, samples=samples, percent=percent, kinds=kinds))
     if standing:
         found.append(sentence("statistics.standing", standing=standing, samples=samples, status=Status.STANDING.value))
     left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)
