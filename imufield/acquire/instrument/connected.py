@@ -21,7 +21,7 @@ from imufield.sentences import Sentences, printable
 sentence = Sentences(__package__)
 
 # Settings that change every number, so that an assumed value must be seen; so does one that is "unknown".
-_WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
+_WORTH_SAYING = ("accelerometer_range_g", "columns", "time_unit", "accelerometer_unit", "gyroscope_unit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
