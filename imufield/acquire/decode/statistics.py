@@ -15,8 +15,9 @@ sentence = Sentences(__package__)
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
 NO_TIME = "sample without a time"
-NO_COUNT = "sample without a count"
 """Kind under which samples are counted whose time stamps are no times."""
+NO_COUNT = "sample without a count"
+"""Kind under which samples are counted whose counter does not count them."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
 _KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
 _MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.

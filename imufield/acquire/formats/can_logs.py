@@ -187,7 +187,7 @@ def _of_candump(lines: Iterable[str], end: dict[str, Any]) -> Iterator[can.Messa
             # The file itself is damaged, or is none of this kind.
             if not (taken and end["read"]):
                 raise
-            end.setdefault("bad", []).append(taken)
+            end |= {"bad": end.get("bad", 0) + 1, "first_bad": end.get("first_bad", taken)}
             taken = 0
 
 
@@ -234,7 +234,7 @@ def _missing(path: Path, end: Mapping[str, Any]) -> str:
     if "code" in end:
         raise ValueError(f"its reader broke down ({end['code']})")
     if end.get("bad"):
-        return sentence("can_logs.bad_lines", path=str(path), lines=len(end["bad"]), first=end["bad"][0])
+        return sentence("can_logs.bad_lines", path=str(path), lines=end["bad"], first=end["first_bad"])
     if end.get("frames") == 0:
         return sentence("can_logs.never_closed", **here)
     # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
