@@ -163,7 +163,7 @@ def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
     """Return the largest distance from python-ins run in one piece over the same corrected samples, same alignment."""
     pyins = load_pyins()
     settings = CheckSettings(latitude_deg=Site().latitude_deg)
-    navigated = ParameterSet(apply, settings)
+    navigated = ParameterSet(apply, settings, checks_gravity=True)
     for block in blocks:
         navigated.feed(block)
         if navigated.alignment is not None:

@@ -24,6 +24,7 @@ _NEXT_TO_NOTHING = 0.0005  # Of micro-g, ppm and nautical miles: what rounding l
 # encoded. All other characters stay, the marks that Arabic and Hebrew need among them.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
+_MOST_NAMES = 8  # Of a line or two.
 _FOLDED_FROM = 4  # Up to three are read one by one.
 _VARIES = re.compile(r"\S*\d[^\s,;)]*|\b[xyz]\b")  # Numbers, names with a number ("y+45"), axes.
 _SIZE = re.compile(r"(\S+) \(?([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?=[\s,;)%]|$)")
@@ -31,14 +32,15 @@ _PLACES = ("at", "from", "to", "before")  # Behind these a number is a place or 
 
 
 def folded(sentences: Iterable[str]) -> list[str]:
-    """Return sentences for people to read: of many that differ in numbers, positions and axes alone, the worst, and how many.
+    """Return sentences for people to read: of many that differ in numbers, positions and axes alone, one.
 
-    The worst has the largest number, of the first that differs between them and is no place.
+    That is the worst with how many there are: the one with the largest number, of the first that differs between them and is no
+    place. Where they differ in positions and axes alone, it is the first, with the positions of the others.
     """
     listed = list(dict.fromkeys(sentences))
     kinds: dict[str, list[str]] = {}
     for text in listed:
-        kinds.setdefault(_VARIES.sub("#", text), []).append(text)
+        kinds.setdefault(_VARIES.sub("\0", text), []).append(text)
     told = {alike[0]: _worst(alike) for alike in kinds.values() if len(alike) >= _FOLDED_FROM}
     hidden = {text for alike in kinds.values() if len(alike) >= _FOLDED_FROM for text in alike[1:]}
     return [told.get(text, text) for text in listed if text not in hidden]
@@ -48,11 +50,12 @@ def _worst(alike: list[str]) -> str:
     sizes = [[abs(float(size)) for word, size in _SIZE.findall(text) if word not in _PLACES] for text in alike]
     differing = next((column for column in zip(*sizes, strict=False) if len(set(column)) > 1), None)
     if differing is None:
-        words = zip(*map(_VARIES.findall, alike), strict=True)
-        first, *others = next(column for column in words if len(set(column)) > 1)
-        # Whoever has to take positions again needs the names of all.
-        if first[0].isalpha():
-            return f"{alike[0].removesuffix('.')}; the same for {', '.join(others)}"
+        names = [column for column in zip(*map(_VARIES.findall, alike), strict=True) if len(set(column)) > 1]
+        if all(name[0].isalpha() for column in names for name in column):
+            # Whoever has to take positions again needs the names of all.
+            others = [*dict.fromkeys(names[0][1:])]
+            shown = ", ".join(others[:_MOST_NAMES]) + (" and others" if len(others) > _MOST_NAMES else "")
+            return f"{alike[0].removesuffix('.')}; {len(alike) - 1} more like this: {shown}"
         return f"{len(alike)} sentences like this, the first: {alike[0]}"
     return f"{len(alike)} sentences like this, the largest: {alike[differing.index(max(differing))]}"
 
@@ -109,6 +112,7 @@ def printable_values(value: object) -> object:
     if isinstance(value, dict):
         return {key: printable_values(entry) for key, entry in value.items()}
     if isinstance(value, list):
+        # Without a call for each number, of which a parameter file has a thousand.
         return [entry if isinstance(entry, float) else printable_values(entry) for entry in value]
     return printable(value) if isinstance(value, str) else value
 

@@ -33,15 +33,14 @@ def run_apply(options: ApplyOptions) -> None:
     parameters = load(options.parameters)
     damage: list[Damage] = []
     assumptions: list[str] = []
-    other = ""
+    instrument_note = ""
     if source.is_dir():
         if options.rate_hz is not None:
             raise UsageError(sentence("apply.rate_of_session"))
         session = Session.open(source)
         refuse_overwriting(output, [options.parameters, *session.parts], RecordingError)
         serial_number, blocks = session.serial_number, session_samples(session, damage)
-        note = parameters.instrument_note(session.record.instrument)
-        other = note if note and session.sha256() != parameters.context.session.sha256 else ""
+        instrument_note = parameters.instrument_note(session.record.instrument, session.sha256)
     else:
         refuse_overwriting(output, [options.parameters, source], RecordingError)
         serial_number, blocks = "", table_samples(source, options.rate_hz, assumptions)
@@ -53,6 +52,6 @@ def run_apply(options: ApplyOptions) -> None:
         say(sentence("apply.assumed", source=source), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
-    about_file = (other, parameters.edited_note, parameters.verdict_note, parameters.gyroscope_note)
+    about_file = (instrument_note, parameters.edited_note, parameters.verdict_note, parameters.gyroscope_note)
     for note in filter(None, (*about_file, count.flags(), *flags.notes())):
         echo(hanging("", note))

@@ -59,7 +59,7 @@ def run_import(options: ImportOptions) -> Session:
         return session
     say_each(assumptions, err=True, indent=2)
     echo(beside("session", session.folder))
-    # Where a unit is wrong, what was said of it is the next step.
+    # In a wrong unit, solving would fail.
     if not any(getattr(each, "key", "") in CONTRADICTIONS for each in assumptions):
         echo(beside("next: ", f"imufield solve {shell_word(session.folder)}"))
     return session
@@ -185,7 +185,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
         # Messages among the samples say how the instrument is set.
         return _import_bytes(options, told)
     counts = decoder.statistics
-    if counts.samples_incomplete == counts.samples:  # Also of none at all.
+    if counts.samples <= counts.samples_incomplete:
         first = b"" if protocol.can is not None else next((chunk.data for chunk in _chunks(options, protocol, [])), b"")
         if differs := other_lines(str(options.files[0]), read_lines(first), protocol):
             raise RecordingError(differs, Reason.NO_FRAMES)

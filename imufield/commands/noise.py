@@ -57,13 +57,13 @@ def run_noise(options: NoiseOptions) -> None:
     if options.session is None and not options.as_json:
         # The newest, which a person may not expect.
         echo(beside("session", session.folder))
-    scales = _scales(session, parameters)
+    scales_and_zero = _scales_and_zero(session, parameters)
     # Before an hour of samples is read for nothing.
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])
     damage: list[Damage] = []
     with naming_damage(session, damage):
-        result = measure_noise(session_samples(session, damage), *scales)
+        result = measure_noise(session_samples(session, damage), *scales_and_zero)
     say_each((entry.what for entry in damage), err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode(), as_json=options.as_json)
@@ -72,8 +72,7 @@ def run_noise(options: NoiseOptions) -> None:
         write_output(options.plot, picture, as_json=options.as_json)
     if options.parameters is not None and parameters is not None:
         path = parameters.path or options.parameters
-        note = parameters.instrument_note(session.record.instrument)
-        if note and session.sha256() != parameters.context.session.sha256:
+        if note := parameters.instrument_note(session.record.instrument, session.sha256):
             say(note, err=True)
         tell_written(path, _write_into(path, parameters, result), as_json=options.as_json)
     if options.as_json:
@@ -82,7 +81,7 @@ def run_noise(options: NoiseOptions) -> None:
     _print(result)
 
 
-def _scales(session: Session, parameters: Parameters | None) -> tuple[Scale, Scale, FloatArray]:
+def _scales_and_zero(session: Session, parameters: Parameters | None) -> tuple[Scale, Scale, FloatArray]:
     """Return raw units per SI of both triads, and the accelerometer's raw output at zero input, shape (3,).
 
     Calibrated ones where there are parameters, else what protocol and session state.

@@ -27,8 +27,17 @@ Row = dict[str, Any]  # Texts and numbers, in JSON under the same names.
 # The others of a parameter file are most of it, and take most of the time.
 _TABLES = re.compile(r"^\[(?:session|quality|integrity)\]\n(?:(?!\[).*\n)*", re.MULTILINE)
 _NOT_KNOWN = (
-    *("created", "instrument", "serial_number", "port", "kind"),
-    *("planned", "positions", "used", "verdict", "fault", "leads_to"),
+    "created",
+    "instrument",
+    "serial_number",
+    "port",
+    "kind",
+    "planned",
+    "positions",
+    "used",
+    "verdict",
+    "fault",
+    "leads_to",
 )
 
 

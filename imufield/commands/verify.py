@@ -158,8 +158,9 @@ def _verify(task: _Task) -> Verification:
         if left_out is None and navigated is None:
             least_s = task.options.align_s + SHORTEST_S
             nothing = CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
-            # Where it is not gravity that acts, all else follows from it.
-            raise next((error for error in problems if error.reason is Reason.GRAVITY), [*problems, nothing][0])
+            # A wrong unit causes the other problems, too.
+            wrong_gravity = next((error for error in problems if error.reason is Reason.GRAVITY), None)
+            raise wrong_gravity or next(iter(problems), nothing)
     parameters = task.parameters
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
@@ -187,7 +188,7 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
             # For other raw units they are refused, as applying them would; without a protocol there is no sample.
             if protocol is not None:
                 parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
-        observations = _observed(chain) if reading is None else reading.observations
+        observations = _observations_of(chain) if reading is None else reading.observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
             # Its own positions were measured where the parameters hold; others may come from the cold.
@@ -206,8 +207,8 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
         return None
 
 
-def _observed(chain: Chain) -> Observations:
-    """Return the observations; raise why none counts where all were refused."""
+def _observations_of(chain: Chain) -> Observations:
+    """Return the observations of a replay; raise ``CalibrationError`` with the last refusal where every still was refused."""
     if chain.guide is not None:
         return chain.observations()
     found = chain.still_intervals()
@@ -231,7 +232,7 @@ def _gravity_notes(task: _Task, found: LeftOutPositions) -> Iterator[str]:
 
 def _instrument_notes(task: _Task) -> Iterator[str]:
     """Yield that nothing shows whether session and parameters are of one instrument, where that is so."""
-    if not task.is_its_own and (note := task.parameters.instrument_note(task.session.record.instrument)):
+    if note := task.parameters.instrument_note(task.session.record.instrument, lambda: task.sha256):
         yield note
 
 

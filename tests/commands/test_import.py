@@ -138,7 +138,7 @@ def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFi
     assert typed("import", path, "--dbc", dbc, *maps, "-o", tmp_path / "cut") == 0
     assert f"{len(content) - 30} of {len(content)} bytes" in capsys.readouterr().err
     assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "other") == 4
-    assert re.search(r"drive.blf: 4\d\d frames contain no sample of j1939_imu \(other: 4\d\d\)", capsys.readouterr().err)
+    assert re.search(r"drive.blf: 4\d\d frames contain no whole sample of j1939_imu \(other: 4\d\d\)", capsys.readouterr().err)
     unknown = ["import", str(path), "-o", str(tmp_path / "other")]
     fails(unknown, 2, Reason.USAGE, str(path), key="import_files.unknown_can_log")
     fails([*unknown, "--map", MAP[0]], 2, Reason.USAGE, "--dbc", key="import_files.map_without_dbc")

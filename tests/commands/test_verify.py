@@ -200,8 +200,8 @@ def test_a_standstill_in_a_wrong_unit_proves_nothing(solved: Path, tmp_path: Pat
     # m/s^2 that are called g: gravity is ten times too large.
     rest = rest_session(tmp_path / "rest", 700.0, unit="g")
     command = ["verify", str(solved / "parameters.toml"), str(rest.folder), "--require", "nav-nmi-per-h=1000"]
-    for more in ([], ["--align-s", "60"]):
-        fails([*command, *more], 6, Reason.GRAVITY, key="verify.refused")
+    fails(command, 6, Reason.GRAVITY, key="verify.refused")
+    fails([*command, "--turned"], 4, Reason.GRAVITY, key="check.no_gravity")
 
 
 def test_positions_that_hide_an_error_meet_no_requirement(

@@ -28,7 +28,7 @@ from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.solving import _check_count
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
-from tests.commands.told import fails, missing
+from tests.commands.told import fails, missing, says
 from tests.refused import refused
 
 ROOT = Path(__file__).parents[2]
@@ -52,15 +52,14 @@ def test_tables_say_their_units_and_what_to_leave_out(
     assert marked > 100
     assert f"{marked} rows marked unusable in the column status, {marked} of them during start-up (flag 16)" in told
     assert run(["apply", str(solved_session), str(session.folder), "-o", str(tmp_path / "corrected.csv")]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert not missing(told, "specific force in m/s^2, angular rate in rad/s", "serial number")
-
-
-def test_only_another_session_is_asked_for_its_serial_number(
-    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    told = capsys.readouterr().out
+    assert not missing(" ".join(told.split()), "specific force in m/s^2, angular rate in rad/s")
+    model = session.record.model
+    unknown = {"who": "recording and the parameter file name", "own": model, "recorded": model}
+    assert says(told, "deliver.parameters", "file.no_serial_number", **unknown)
+    # Of the session that was solved nobody need be told.
     assert run(["apply", str(solved_session), str(solved_session), "-o", str(tmp_path / "corrected.csv")]) == 0
-    assert "serial number" not in capsys.readouterr().out
+    assert not says(capsys.readouterr().out, "deliver.parameters", "file.no_serial_number", **unknown)
 
 
 def test_parameters_are_printed_in_a_line(solved_session: Path) -> None:

@@ -45,8 +45,8 @@ _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
-_SAME_FALLS = 4  # Where one sample of twenty is lost, two in a row are at one place in every 400th round.
-_COUNTING = 0.25  # Share of the samples that are a step of the counter apart where it counts them: three of four may be lost.
+_SAME_RESTARTS = 4  # Where one sample of twenty is lost, that of one count is lost in four rounds in a row once in 160,000.
+_LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -82,7 +82,8 @@ class CanClock(Clock):
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._newest = np.full(2, NO_COUNTER, dtype=np.int64)  # The last counts that came.
-        self._falls: deque[tuple[int, int]] = deque(maxlen=_SAME_FALLS)  # The counts about the last irregular new beginnings.
+        # The counts before and behind the last restarts that the modulus does not explain.
+        self._restarts: deque[tuple[int, int]] = deque(maxlen=_SAME_RESTARTS)
         self._counter_step = 1
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
@@ -98,27 +99,28 @@ class CanClock(Clock):
         return self._release(last=True) if self._pending else None
 
     def _settle_modulus(self, counter: IntArray) -> None:
-        """Correct where the counter begins anew by where it does: ranges of DBC files may be wrong, and many state none."""
+        """Correct the stated modulus by the restarts that came: ranges of DBC files may be wrong, and many state none."""
         if not self._modulus:
             return
         seen, self._newest = np.append(self._newest, counter), np.append(self._newest, counter)[-2:]
         before = self._modulus
         if seen[seen.argmax()] >= before:
             self._widen(seen)
+        # Of the two counts that came before, the older one has had its successor.
         self._narrow(seen[1:])
         if self._modulus != before and self._phase is not None:
             self._set_unit(self._phase)
 
     def _narrow(self, seen: IntArray) -> None:
-        """Let a counter do so where it begins anew several times in a row; losses are not at one place."""
+        """Shorten the modulus when the counter restarts ``_SAME_RESTARTS`` times in a row between the same two counts."""
         falls = (seen[1:] < seen[:-1]) & (seen[1:] >= 0) & (seen[:-1] < self._modulus)
         for place in np.flatnonzero(falls).tolist():
             last, first = int(seen[place]), int(seen[place + 1])
             if (first - last) % self._modulus in self._rule.counter_steps or last - first < _LEAST_ROUND:
-                self._falls.clear()
+                self._restarts.clear()
                 continue
-            self._falls.append((last, first))
-            if self._falls.count((last, first)) == _SAME_FALLS:
+            self._restarts.append((last, first))
+            if self._restarts.count((last, first)) == _SAME_RESTARTS:
                 self._modulus = last - first + min(self._rule.counter_steps)
 
     def _widen(self, seen: IntArray) -> None:
@@ -184,12 +186,13 @@ class CanClock(Clock):
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
-            first = int(np.argmax(known))
-            self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
-            if len(steps) >= LEARN_SAMPLES and sum(counts) < _COUNTING * len(steps):
+            if len(steps) >= LEARN_SAMPLES and sum(counts) < _LEAST_REGULAR * len(steps):
                 # It stands, runs back, or counts something else.
                 self._modulus, self._last_counter = 0, None
                 self._statistics.count(NO_COUNT, len(block))
+            else:
+                first = int(np.argmax(known))
+                self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter)
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)

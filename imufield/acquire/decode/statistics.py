@@ -17,7 +17,7 @@ LEFT_OUT = "without a sample"
 NO_TIME = "sample without a time"
 """Kind under which samples are counted whose time stamps are no times."""
 NO_COUNT = "sample without a count"
-"""Kind under which samples are counted whose counter does not count them."""
+"""Kind under which the samples are counted that showed that a counter does not count them."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
 _KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
 _MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.
@@ -120,9 +120,7 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
         share = 100 * incomplete / max(samples, 1)
         percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
         key = "statistics.many_incomplete" if share >= _MANY_PERCENT else "statistics.incomplete"
-        key = "statistics.never_complete" if incomplete == samples else key
-        kinds = [f"{kind}: {number}" for part in parts for kind, number in part.by_kind.items()]
-        found.append(sentence(key, incomplete=incomplete, samples=samples, percent=percent, kinds=kinds))
+        found.append(sentence(key, incomplete=incomplete, samples=samples, percent=percent))
     if standing:
         found.append(sentence("statistics.standing", standing=standing, samples=samples, status=Status.STANDING.value))
     left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import math
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import IO, Any, cast
 
 import can
 
@@ -163,32 +164,21 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
 def _of_candump(lines: Iterable[str], end: dict[str, Any]) -> Iterator[can.Message]:
     """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data.
 
-    Lines that are no frames are left out, and noted in ``end``: a logger whose power was cut goes on in the middle of one.
+    Behind the first frame, lines that are none are skipped, and counted in ``end``: a logger whose power was cut goes on in the
+    middle of one.
     """
-    counted = enumerate(lines, 1)
-    is_error, taken = False, 0  # The number of the line that is made a frame of; 0 while one is read.
-
-    def plain() -> Iterator[str]:
-        nonlocal is_error, taken
-        for number, line in counted:
-            text, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
-            is_error, taken = bool(errors), number
-            yield text
-            taken = 0
-
-    while True:
+    for number, line in enumerate(lines, 1):
+        text, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
         try:
-            # A line is taken only when the frame of the one before has been.
-            for message in can.CanutilsLogReader(cast("TextIO", plain())):
-                message.is_error_frame = is_error
-                yield message
-            return
+            messages = [*can.CanutilsLogReader(io.StringIO(text))]
         except foreign_file_reader.DAMAGE:
-            # The file itself is damaged, or is none of this kind.
-            if not (taken and end["read"]):
+            if not end["read"]:
                 raise
-            end |= {"bad": end.get("bad", 0) + 1, "first_bad": end.get("first_bad", taken)}
-            taken = 0
+            end |= {"bad": end.get("bad", 0) + 1, "first_bad": end.get("first_bad", number)}
+            continue
+        for message in messages:
+            message.is_error_frame = bool(errors)
+            yield message
 
 
 def _message(line: str) -> can.Message:

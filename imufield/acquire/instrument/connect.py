@@ -67,10 +67,11 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
     UsageError
         Options contradict each other, or several ports are there and none is chosen.
     """
+    is_virtual = isinstance(clock, ScaledClock)
     if options.bus is not None:
         from imufield.acquire.instrument.connect_can import connect_bus
 
-        return connect_bus(options, clock, say)
+        return replace(connect_bus(options, clock, say), is_virtual=is_virtual)
     _refuse_bus_options(options)
     port = options.port or _only_port(say)
     candidates = _candidates(options, say)
@@ -91,8 +92,7 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
             raise _not_understood(port, result, say)
         if instrument is None and listener.candidate.driver is not None:
             instrument = Instrument(listener.candidate.driver, clock)
-        introduced = _introduced(result, listener, instrument, options, say=say)
-        return replace(introduced, is_virtual=isinstance(clock, ScaledClock))
+        return replace(_introduced(result, listener, instrument, options, say=say), is_virtual=is_virtual)
     except BaseException:
         try:
             if instrument is not None and instrument.is_changed:

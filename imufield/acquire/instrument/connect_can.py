@@ -28,7 +28,7 @@ from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLE
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
+from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
@@ -93,7 +93,6 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
             chunks=chunks,
             identity=identity,
             wire="can",
-            is_virtual=isinstance(clock, ScaledClock),
             say=say,
         )
     except BaseException:

@@ -69,7 +69,7 @@ class Connected:
     rate_before_hz: float | None = None
     """What it was before."""
     is_virtual: bool = False
-    """Whether its clock is a scaled one, which no real instrument has."""
+    """Read with a scaled clock, as only emulated instruments are; an emulator at real speed is not recognised."""
     say: Say = _silence
     """Told where the instrument could not be put back as it was."""
 
@@ -113,13 +113,13 @@ class Connected:
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
         protocol, nominal = self.protocol, self.protocol.nominal
-        # TOML has no value for nothing.
-        virtual = True if self.is_virtual else None
-        baud, more = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz, "is_virtual": virtual}
+        baud, rates = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
         where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
+        virtual: dict[str, object] = {"is_virtual": True} if self.is_virtual else {}
         return {
             "instrument": {"driver": self.driver, "model": self.model, **self.identity},
-            "link": {name: value for name, value in {**where, **more}.items() if value is not None},
+            # TOML has no value for nothing.
+            "link": virtual | {name: value for name, value in {**where, **rates}.items() if value is not None},
             "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
             "settings": {
                 name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()

@@ -76,7 +76,7 @@ class LinkRecord:
     # What a person sets again where a killed program did not: 0 where the output was off.
     rate_before_hz: float | None = _number(0.0, RATE_RANGE_HZ[1])
     is_virtual: bool = False
-    """Of the demonstration or an emulator: its site is nobody's."""
+    """Read with a scaled clock, as only emulated instruments are: its site is nobody's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

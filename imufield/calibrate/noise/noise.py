@@ -43,7 +43,8 @@ _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_f
 _FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
 _HOURS = 3600.0
 _SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
-_GRAVITY_SHARE = 0.25  # Of gravity: further off is a wrong unit or range, or an offset that has to be calibrated first.
+# Of gravity, by which the force at rest may differ: offsets of MEMS reach 0.2 g, a wrong unit or range makes 0.5 at least.
+_GRAVITY_TOLERANCE = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +166,7 @@ class NoiseStream:
     accelerometer_scale, gyroscope_scale : float or ndarray, shape (3,), optional
         Raw unit per SI, from a calibration or the driver; without them figures stay in raw units.
     raw_zero : ndarray, shape (3,), optional
-        Rates of the accelerometer at zero input: what tells a unit that was moved is the direction of what is left.
+        Accelerometer output at zero input, as a rate; subtracted before a move is looked for.
     """
 
     def __init__(
@@ -177,7 +178,8 @@ class NoiseStream:
     ) -> None:
         self._units = units
         given = ((accelerometer_scale, units.accelerometer, "m/s"), (gyroscope_scale, units.gyroscope, "rad"))
-        self.is_si = all(scale is not None or unit.startswith(si) for scale, unit, si in given)
+        known = [scale is not None or unit.startswith(si) for scale, unit, si in given]
+        self.is_si, self._knows_force = all(known), known[0]
         self._scale = np.concatenate([np.broadcast_to(1.0 if scale is None else scale, 3) for scale, _, _ in given])
         self._zero = np.zeros(3) if raw_zero is None else raw_zero
         self._grid: EvenGrid | None = None
@@ -232,8 +234,10 @@ class NoiseStream:
             sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:
             sentences.append(sentence("noise.bridged", count=best.bridged))
-        if self.is_si and abs(best.length - STANDARD_GRAVITY_M_S2) > _GRAVITY_SHARE * STANDARD_GRAVITY_M_S2:
-            sentences.append(sentence("noise.no_gravity", found_m_s2=best.length))
+        off = abs(best.mean_force / STANDARD_GRAVITY_M_S2 - 1)
+        if self._knows_force and off > _GRAVITY_TOLERANCE:
+            values = {"found_m_s2": best.mean_force, "expected_m_s2": STANDARD_GRAVITY_M_S2, "limit": _GRAVITY_TOLERANCE}
+            sentences.append(sentence("noise.no_gravity", **values))
         sentences += _hidden(axes, best.duration_s / _HOURS)
         return NoiseResult(
             axes=tuple(axes),
@@ -305,15 +309,15 @@ class _Stretch:
         return self.stream.samples * self.interval_s
 
     @property
-    def length(self) -> float:
-        """Of the accelerometer's mean of the last minute."""
+    def mean_force(self) -> float:
+        """Length of the accelerometer's mean of the last minute, m/s^2 or raw."""
         return math.nan if self._reference is None else float(np.linalg.norm(self._reference))
 
     def is_moved(self, mean: FloatArray) -> bool:
         """Whether the mean of a second (3,) is that of a unit that was moved."""
         if self._reference is None:
             return False
-        return float(np.abs(mean - self._reference).max()) > MOVED * self.length
+        return float(np.abs(mean - self._reference).max()) > MOVED * self.mean_force
 
     def follow(self, mean: FloatArray) -> None:
         """Let the reference follow the mean of a second."""

@@ -51,7 +51,7 @@ HoldS = Annotated[
 WebPort = Annotated[int | None, option(help="Port of the page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
 VIRTUAL_SEED = 16
-"""Of the virtual instrument that a first session meets: one that chance does not let fail a test at 95 %."""
+"""Of the default virtual instrument: with one of twenty, a test at 95 % fails by chance, and a first use ends with it."""
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 

@@ -39,8 +39,7 @@ LARGEST_LOSS = 0.01  # More is no accident of the wire but a wrong protocol.
 TOUCHED_S = 3.0
 """Moving seconds that are forgiven: a door, a bump against the table."""
 TURNED_DEG = 20.0  # Less is the table giving way, not somebody turning the instrument over.
-GRAVITY_SHARE = 0.05
-"""Of gravity, by which calibrated force at rest may differ: more is a wrong unit or range, or another instrument."""
+_GRAVITY_TOLERANCE = 0.05  # Of gravity: calibrated force is within a percent, that of another instrument within a few.
 LARGEST_HEADING_SIGMA_RAD = 0.5
 """Beyond, the forecast's equations are not linear any more and the heading is a guess."""
 
@@ -109,8 +108,8 @@ class StaticNavigation:
         self.settings = settings
         self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
         *_, tested = sets
-        # What the one under test is compared with may be a nominal scale, whose offsets nobody knows.
-        self._sets = {name: ParameterSet(apply, settings, is_calibrated=name == tested) for name, apply in sets.items()}
+        # What it is compared with may be a nominal scale, with offsets that nobody knows.
+        self._sets = {name: ParameterSet(apply, settings, checks_gravity=name == tested) for name, apply in sets.items()}
         self._temperature = TemperatureHold()
         self._counts = np.zeros(2, dtype=np.int64)
         self._gap_s = 0.0
@@ -133,7 +132,7 @@ class StaticNavigation:
         self._gap_s = max(self._gap_s, float(np.diff(kept.time_s, prepend=self._last_s).max()))
         self._last_s = float(kept.time_s[-1])
         try:
-            # Navigated across, a hole may end at no attitude at all.
+            # Integrated across a gap, the attitude can become invalid.
             if self._gap_s > LONGEST_GAP_S:
                 raise RecordingError(sentence("check.gap", gap_s=self._gap_s, limit_s=LONGEST_GAP_S))
             for parameter_set in self._sets.values():
@@ -147,7 +146,8 @@ class StaticNavigation:
         Raises
         ------
         RecordingError
-            If the recording is too short, was moved, or has holes or too many values that are no numbers.
+            If the recording is too short, was moved, does not show gravity, diverges, or has holes or too many values that are
+            no numbers.
         """
         self._check_whole()
         drifts = {name: parameter_set.finish() for name, parameter_set in self._sets.items()}
@@ -228,10 +228,10 @@ class StaticNavigation:
 class ParameterSet:
     """Correct, align, mechanise with one parameter set."""
 
-    def __init__(self, apply: Apply, settings: CheckSettings, *, is_calibrated: bool) -> None:
+    def __init__(self, apply: Apply, settings: CheckSettings, *, checks_gravity: bool) -> None:
         self._apply = apply
         self._settings = settings
-        self._is_calibrated = is_calibrated
+        self._checks_gravity = checks_gravity
         self._seconds: IntervalMeans | None = None
         self._waiting: list[Corrected] = []
         self.alignment: Alignment | None = None
@@ -271,8 +271,8 @@ class ParameterSet:
             refused = sentence("check.moves_in_alignment", at_s=int(np.argmax(moving)), align_s=settings.align_s)
             raise RecordingError(refused, Reason.BAD_DATA)
         force_m_s2, gravity_m_s2 = float(np.linalg.norm(means[:, :3].mean(axis=0))), settings.gravity_m_s2
-        if self._is_calibrated and abs(force_m_s2 / gravity_m_s2 - 1) > GRAVITY_SHARE:
-            refused = sentence("check.no_gravity", force_m_s2=force_m_s2, gravity_m_s2=gravity_m_s2, limit=GRAVITY_SHARE)
+        if self._checks_gravity and abs(force_m_s2 / gravity_m_s2 - 1) > _GRAVITY_TOLERANCE:
+            refused = sentence("check.no_gravity", force_m_s2=force_m_s2, gravity_m_s2=gravity_m_s2, limit=_GRAVITY_TOLERANCE)
             raise RecordingError(refused, Reason.GRAVITY)
         rest = RestMeans(SECOND_S, means[:, :3], means[:, 3:])
         self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads(), settings.heading)

@@ -6,6 +6,7 @@ The format is docs/parameter-file.md; ``parameters.schema.json`` beside this fil
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
-from imufield.dataclass import dataclass, field, replace
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.apply import (
     at_reference,
     correct_accelerometer,
@@ -80,7 +81,7 @@ class Parameters:
 
     calibration: Calibration
     context: Context
-    document: Document = field(repr=False)
+    document: Document
     """The file's content, in the current version."""
     edited: bool = False
     """Whether somebody changed the file by hand and said so."""
@@ -91,7 +92,7 @@ class Parameters:
     """What a solve found missing, damaged or refused in its recording, in sentences; empty for a loaded file."""
 
     def __repr__(self) -> str:
-        """Return who and how good: all of it is 300 lines of numbers."""
+        """Return one line: instrument, date and verdict. All fields are 300 lines."""
         own, verdict = self.context.instrument, self.calibration.quality.verdict
         who = " ".join(filter(None, (own.model or own.driver, own.serial_number))) or "unknown instrument"
         return f"<Parameters of {who}, measured {self.context.measured}, {verdict.upper()}>"
@@ -330,10 +331,14 @@ class Parameters:
             refused = sentence("file.instrument", name=self._name, parameters=known, recording=serial_number)
             raise ParameterFileError(refused, Reason.FOREIGN)
 
-    def instrument_note(self, recorded: InstrumentRecord) -> str:
-        """Say that no serial numbers show whether a recording is of this instrument; an empty text where they do."""
+    def instrument_note(self, recorded: InstrumentRecord, sha256: Callable[[], str]) -> str:
+        """Say that no serial numbers show whether a recording is of this instrument; an empty text where they do.
+
+        ``sha256`` is asked for the hash of the recording where its instrument has no serial number: it may be the one that was
+        solved.
+        """
         own = self.context.instrument
-        if own.serial_number and recorded.serial_number:
+        if (own.serial_number and recorded.serial_number) or sha256() == self.context.session.sha256:
             return ""
         who = "recording names" if own.serial_number else "parameter file names"
         who = who if own.serial_number or recorded.serial_number else "recording and the parameter file name"

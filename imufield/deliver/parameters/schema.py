@@ -54,7 +54,7 @@ def _json_value(value: object) -> object:
     if isinstance(value, dict):
         return json_ready(value)
     if isinstance(value, list):
-        # Only NaN differs from itself.
+        # Without a call for each number but NaN, which alone differs from itself.
         return [item if isinstance(item, float) and item == item else _json_value(item) for item in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 

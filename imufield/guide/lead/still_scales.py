@@ -58,7 +58,7 @@ _KINDS = {
     ),
 }
 CONTRADICTIONS = frozenset(key for kind in _KINDS.values() for key in (kind.contradicted, kind.fits_none))
-"""Keys of the sentences that tell of a stated unit that it is another."""
+"""Keys of the sentences about a stated unit that is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
