@@ -161,7 +161,7 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
     end["code"] = process.returncode
 
 
-def _of_candump(lines: Iterable[str], end: dict[str, Any]) -> Iterator[can.Message]:
+def _of_candump(lines: Iterable[str], end: dict[str, int]) -> Iterator[can.Message]:
     """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data.
 
     Behind the first frame, lines that are none are skipped, and counted in ``end``: a logger whose power was cut goes on in the
