@@ -39,8 +39,8 @@ _TOKEN = re.compile(
     r"|'[^'\n]*+'?"
     r"|#[^\n]*+"
     r"|[][{}.,=\n]"
-    # Runs of decimal numbers, for speed. In a key of digits and dots they hide every other dot, which doubles its limit.
-    r"|(?:[0-9]++\.[0-9e+-]++,?[ \n]*+-?)++",
+    # Runs of decimal numbers, for speed; no parts of a key, whose dots are counted one by one.
+    r"|(?<![0-9])(?:[0-9]++\.[0-9e+-]++(?=[],\s]),?[ \n]*+-?)++",
     re.DOTALL,
 )
 _BRACE = re.compile("[{}]")

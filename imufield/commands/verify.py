@@ -158,9 +158,9 @@ def _verify(task: _Task) -> Verification:
         if left_out is None and navigated is None:
             least_s = task.options.align_s + SHORTEST_S
             nothing = CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
-            # A wrong unit causes the other problems, too.
-            wrong_gravity = next((error for error in problems if error.reason is Reason.GRAVITY), None)
-            raise wrong_gravity or next(iter(problems), nothing)
+            # A wrong unit, or gaps, cause the other problems, too.
+            cause = next((error for error in problems if error.reason in (Reason.GRAVITY, Reason.DAMAGED)), None)
+            raise cause or next(iter(problems), nothing)
     parameters = task.parameters
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)

@@ -35,7 +35,7 @@ from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import NO_COUNT, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import dataclass, field, replace
-from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every, median
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -45,7 +45,9 @@ _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
-_SAME_RESTARTS = 4  # Where one sample of twenty is lost, that of one count is lost in four rounds in a row once in 160,000.
+_SAME_RESTARTS = 4  # One can be a restart of the instrument, or a sample that came early.
+_RECENT = 33  # Stamps that tell the usual step where samples come one by one.
+_UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
@@ -82,6 +84,7 @@ class CanClock(Clock):
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._newest = np.full(2, NO_COUNTER, dtype=np.int64)  # The last counts that came.
+        self._newest_s = np.empty(0)  # Their stamps, and some before.
         # The counts before and behind the last restarts that the modulus does not explain.
         self._restarts: deque[tuple[int, int]] = deque(maxlen=_SAME_RESTARTS)
         self._counter_step = 1
@@ -90,7 +93,7 @@ class CanClock(Clock):
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        self._settle_modulus(block.counter)
+        self._settle_modulus(block)
         self._pending.append(self._continuous(block))
         return self._release(last=False)
 
@@ -98,30 +101,44 @@ class CanClock(Clock):
         """Return what is kept back; nothing will follow."""
         return self._release(last=True) if self._pending else None
 
-    def _settle_modulus(self, counter: IntArray) -> None:
+    def _settle_modulus(self, block: RawBlock) -> None:
         """Correct the stated modulus by the restarts that came: ranges of DBC files may be wrong, and many state none."""
         if not self._modulus:
             return
-        seen, self._newest = np.append(self._newest, counter), np.append(self._newest, counter)[-2:]
+        seen, stamp_s = np.concatenate([self._newest, block.counter]), np.concatenate([self._newest_s, block.stamp_s])
+        self._newest, self._newest_s = seen[-2:], stamp_s[-_RECENT:]
         before = self._modulus
         if seen[seen.argmax()] >= before:
             self._widen(seen)
-        # Of the two counts that came before, the older one has had its successor.
-        self._narrow(seen[1:])
+        if not every(seen[1:-1] <= seen[2:]):
+            self._narrow(seen, np.diff(stamp_s))
         if self._modulus != before and self._phase is not None:
             self._set_unit(self._phase)
 
-    def _narrow(self, seen: IntArray) -> None:
-        """Shorten the modulus when the counter restarts ``_SAME_RESTARTS`` times in a row between the same two counts."""
-        falls = (seen[1:] < seen[:-1]) & (seen[1:] >= 0) & (seen[:-1] < self._modulus)
+    def _narrow(self, seen: IntArray, steps_s: FloatArray) -> None:
+        """Shorten the modulus when the counter restarts ``_SAME_RESTARTS`` times in a row between the same two counts.
+
+        Where samples were lost there, the time stamps show it; of stamps in bursts nothing is learned.
+        """
+        before, lasts, firsts = seen[:-2], seen[1:-1], seen[2:]
+        falls = (firsts < lasts) & (firsts >= 0) & (lasts < self._modulus) & np.isin(lasts - before, self._rule.counter_steps)
+        if not falls.any() or len(steps_s) < LEARN_SAMPLES:
+            return
+        usual_s, step = float(median(steps_s)), min(self._rule.counter_steps)
+        period_s = usual_s if self._phase is None else self._phase.period_s
+        is_even = np.mean(np.abs(steps_s - usual_s) > _UNEVEN * usual_s) <= _UNEVEN
+        if not (is_even and usual_s > 0 and abs(usual_s - period_s) <= _UNEVEN * period_s):
+            return
         for place in np.flatnonzero(falls).tolist():
-            last, first = int(seen[place]), int(seen[place + 1])
-            if (first - last) % self._modulus in self._rule.counter_steps or last - first < _LEAST_ROUND:
+            last, first = int(lasts[place]), int(firsts[place])
+            forward = (first - last) % self._modulus
+            if forward in self._rule.counter_steps or last - first < _LEAST_ROUND:
                 self._restarts.clear()
-                continue
-            self._restarts.append((last, first))
-            if self._restarts.count((last, first)) == _SAME_RESTARTS:
-                self._modulus = last - first + min(self._rule.counter_steps)
+            # Both end with the same sample.
+            elif steps_s[place - len(firsts)] < (1 + forward / step) / 2 * usual_s:
+                self._restarts.append((last, first))
+                if self._restarts.count((last, first)) == _SAME_RESTARTS:
+                    self._modulus = last - first + step
 
     def _widen(self, seen: IntArray) -> None:
         """Let a counter that goes on beyond its stated end go on to the next power of two.

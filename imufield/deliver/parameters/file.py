@@ -337,8 +337,9 @@ class Parameters:
         ``sha256`` is asked for the hash of the recording where its instrument has no serial number: it may be the one that was
         solved.
         """
-        own = self.context.instrument
-        if (own.serial_number and recorded.serial_number) or sha256() == self.context.session.sha256:
+        own, together = self.context.instrument, self.context.together
+        solved = [self.context.session.sha256, *(session.sha256 for session in (() if together is None else together.session))]
+        if (own.serial_number and recorded.serial_number) or sha256() in solved:
             return ""
         who = "recording names" if own.serial_number else "parameter file names"
         who = who if own.serial_number or recorded.serial_number else "recording and the parameter file name"
