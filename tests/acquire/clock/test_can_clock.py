@@ -20,7 +20,6 @@ from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUn
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples
-from tests.told import told
 
 NEVER = Arrivals(np.array([0]), np.array([np.nan]))
 
@@ -287,42 +286,6 @@ def test_a_number_beyond_the_end_that_stands_for_none_is_no_count(places: list[i
 def test_a_counter_that_goes_on_beyond_its_stated_end_loses_nothing_there(stated: int, modulus: int, block: int) -> None:
     kept = np.delete(np.arange(3000), [1700, 2100, 2101])
     _, statistics = run(kept / 100.0, counter=kept % modulus, modulus=stated, block=block)
-    assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
-
-
-@pytest.mark.parametrize(("first", "last", "bits"), [(0, 14, 4), (1, 15, 4), (0, 199, 8), (1, 255, 8), (0, 2, 2)])
-def test_a_counter_that_begins_anew_where_no_file_says_is_learned(first: int, last: int, bits: int) -> None:
-    count = last - first + 1
-    kept = np.delete(np.arange(8000), [1700, 5100, 5101])
-    _, statistics = run(kept / 100.0, counter=first + kept % count, modulus=1 << bits, block=8000)
-    assert statistics.lost == 3
-    # Live, from the fifth round on.
-    _, statistics = run(kept / 100.0, counter=first + kept % count, modulus=1 << bits, block=7)
-    assert 3 <= statistics.lost <= 3 + 4 * ((1 << bits) - count)
-
-
-@pytest.mark.parametrize(
-    "counter",
-    [
-        pytest.param(np.full(8000, 7), id="stands"),
-        pytest.param(-np.arange(8000) % 16, id="runs back"),
-        pytest.param(10 * np.arange(8000) % 256, id="counts something else"),
-        pytest.param(np.random.default_rng(1).integers(0, 256, 8000), id="is none"),
-    ],
-)
-@pytest.mark.parametrize("block", [7, 8000])
-def test_a_counter_that_counts_no_samples_is_not_used_and_told(counter: IntArray, block: int) -> None:
-    kept = np.delete(np.arange(8000), range(4000, 4010))
-    samples, statistics = run(kept / 100.0, counter=counter[kept], modulus=16 if counter.max() < 16 else 256, block=block)
-    assert (statistics.samples_lost, statistics.losses_estimated) == (0, 10)
-    assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(79.99, abs=0.02)
-    assert told(remarks([statistics]), "statistics.no_count")
-
-
-@pytest.mark.parametrize("block", [1, 9, 4000])
-def test_a_counter_that_begins_at_one_loses_nothing_where_it_does(block: int) -> None:
-    kept = np.delete(np.arange(3000), [1700, 2100, 2101])
-    _, statistics = run(kept / 100.0, counter=1 + kept % 15, modulus=15, block=block)
     assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
 
 

@@ -1,0 +1,75 @@
+"""The counter of a bus against time stamps: where it restarts is learned, losses are none of that, and what is no counter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imufield.acquire.decode.statistics import remarks
+from imufield.samples import IntArray
+from tests.acquire.clock.test_can_clock import bursty, jitter, run
+from tests.told import told
+
+
+@pytest.mark.parametrize(("first", "last", "bits"), [(0, 14, 4), (1, 15, 4), (0, 199, 8), (1, 255, 8), (0, 2, 2)])
+def test_a_counter_that_begins_anew_where_no_file_says_is_learned(first: int, last: int, bits: int) -> None:
+    count = last - first + 1
+    kept = np.delete(np.arange(8000), [1700, 5100, 5101])
+    _, statistics = run(kept / 100.0, counter=first + kept % count, modulus=1 << bits, block=8000)
+    assert statistics.lost == 3
+    # Live, from the fifth round on.
+    _, statistics = run(kept / 100.0, counter=first + kept % count, modulus=1 << bits, block=7)
+    assert 3 <= statistics.lost <= 3 + 4 * ((1 << bits) - count)
+
+
+@pytest.mark.parametrize(
+    "counter",
+    [
+        pytest.param(np.full(8000, 7), id="stands"),
+        pytest.param(-np.arange(8000) % 16, id="runs back"),
+        pytest.param(10 * np.arange(8000) % 256, id="counts something else"),
+        pytest.param(np.random.default_rng(1).integers(0, 256, 8000), id="is none"),
+    ],
+)
+@pytest.mark.parametrize("block", [7, 8000])
+def test_a_counter_that_counts_no_samples_is_not_used_and_told(counter: IntArray, block: int) -> None:
+    kept = np.delete(np.arange(8000), range(4000, 4010))
+    samples, statistics = run(kept / 100.0, counter=counter[kept], modulus=16 if counter.max() < 16 else 256, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (0, 10)
+    assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(79.99, abs=0.02)
+    assert told(remarks([statistics]), "statistics.no_count")
+
+
+@pytest.mark.parametrize("block", [1, 9, 4000])
+def test_a_counter_that_begins_at_one_loses_nothing_where_it_does(block: int) -> None:
+    kept = np.delete(np.arange(3000), [1700, 2100, 2101])
+    _, statistics = run(kept / 100.0, counter=1 + kept % 15, modulus=15, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
+
+
+def lost_at(name: str) -> NDArray[np.bool_]:
+    """Return which of 12,000 samples are lost, by the place of their count in a round of 15."""
+    count, at = np.arange(12_000) % 15, np.arange(12_000)
+    return {
+        "the last of eight rounds": (count == 14) & (at > 3000) & (at < 3120),
+        "the last for a minute": (count == 14) & (at > 3000) & (at < 9000),
+        "each fourth": at % 4 == 3,
+        "one of five": np.random.default_rng(3).random(12_000) < 0.2,
+    }[name]
+
+
+@pytest.mark.parametrize("name", ["the last of eight rounds", "the last for a minute", "each fourth", "one of five"])
+@pytest.mark.parametrize("modulus", [15, 16])
+@pytest.mark.parametrize("block", [7, 12_000])
+def test_losses_at_one_place_are_no_restart(name: str, modulus: int, block: int) -> None:
+    kept = np.flatnonzero(~lost_at(name))
+    _, statistics = run(kept / 100.0 + jitter(len(kept), 2e-4), counter=kept % modulus, modulus=modulus, block=block)
+    assert statistics.lost == (np.diff(kept) - 1).sum()
+    assert statistics.rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+def test_of_stamps_in_bursts_no_restart_is_learned() -> None:
+    kept = np.flatnonzero(~lost_at("the last for a minute"))
+    _, statistics = run(bursty(kept / 100.0, 0.05), counter=kept % 15, modulus=15)
+    assert statistics.lost == (np.diff(kept) - 1).sum()
