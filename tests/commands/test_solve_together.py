@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import tomli_w
 
 from imufield.acquire.recording import recorder
 from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session_record import InstrumentRecord
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.cli.run import run
 from imufield.commands import solve_together
@@ -37,6 +39,7 @@ from imufield.pipeline.solving import solve_session
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from tests.commands.conftest import made_once, simulated_session
 from tests.refused import refused
+from tests.told import key_of
 
 SERIAL = "N1"
 VISITS = 14
@@ -105,6 +108,14 @@ def test_the_file_says_from_what_it_is(days: Days) -> None:
     assert days.parameters.context.instrument.serial_number == SERIAL
     keys = {getattr(reason, "key", None) for reason in days.parameters.calibration.quality.reasons}
     assert keys == {None}  # what a file holds is text
+
+
+def test_only_other_recordings_are_asked_for_a_serial_number(days: Days) -> None:
+    parameters, without = days.parameters, InstrumentRecord()
+    assert parameters.context.together is not None
+    for session in parameters.context.together.session:
+        assert not parameters.instrument_note(without, partial(str, session.sha256))
+    assert key_of(parameters.instrument_note(without, lambda: "another")) == "file.no_serial_number"
 
 
 def test_damage_and_missing_positions_of_a_session_come_along(days: Days) -> None:
