@@ -17,7 +17,7 @@ from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode
 from imufield.acquire.protocol.toml import near
 from imufield.acquire.protocol.units import unit_name
 from imufield.acquire.registry import load_driver
-from imufield.errors import ProtocolError, Reason, UsageError
+from imufield.errors import ProtocolError, Reason, SettingError, UsageError
 from imufield.files import read_start
 from imufield.samples import AXES, TRIADS
 from imufield.sentences import Sentences
@@ -38,6 +38,12 @@ KEYS = (
     "identifiers",
 )
 """Keys of ``--map``."""
+_OPTIONS = {
+    "map": "--map",
+    **{f"map.{key.replace('.', '_')}": f"--map {key}" for key in (*TRIADS, *_MAP_TEXTS)},
+    **{f"assembly.{key}": f"--map {key}" for key in ("starts_with", *_ASSEMBLY_LISTS, "limit_s")},
+    "clock.time_ticks_per_s": "--map time.ticks_per_s",
+}
 
 
 def parse_map(texts: Iterable[str]) -> dict[str, str]:
@@ -75,9 +81,9 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     Raises
     ------
     ProtocolError
-        The file is no DBC, a signal is not in it, or its unit is not one of what it is mapped to.
+        The file is no DBC.
     UsageError
-        An axis is missing.
+        An axis is missing, a signal is not in the file, or its unit is not one of what it is mapped to.
     """
     path = Path(path)
     try:
@@ -86,12 +92,12 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     except OSError as error:
         raise ProtocolError(sentence("can_map.unreadable", path=str(path), cause=error.strerror)) from error
     text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))
-    protocol = parse_protocol(text, settings, label=f"{path.name} with --map")
+    protocol = parse_protocol(text, settings, label=f"{path.name} with --map", options=_OPTIONS)
     if protocol.can is not None and "time" in mapping and "time.ticks_per_s" not in mapping:
         _, signal = protocol.can.dbc.find(mapping["time"])
         if unit_name(signal.unit, "time") is None:
             shown = repr(signal.unit) if signal.unit else "no unit"
-            raise ProtocolError(sentence("can_map.time_unit", path=path.name, signal=signal.name, unit=shown), Reason.UNITS)
+            raise SettingError(sentence("can_map.time_unit", path=path.name, signal=signal.name, unit=shown), Reason.UNITS)
     return protocol
 
 

@@ -228,8 +228,8 @@ class _Mapping:
         if not names:
             self.table.has(f"{part}_unit")
             return ""
-        if len(names) != 3:
-            raise self.table.error(part, sentence("can_protocol.three_signals", count=len(names), names=names))
+        if not len(names) == len({name.lstrip("-") for name in names}) == 3:
+            raise self.table.error(part, sentence("can_protocol.three_signals", names=names))
         units = {self._axis(part, place, name) for place, name in enumerate(names)}
         if len(units) > 1:
             raise self.table.error(part, sentence("can_protocol.mixed_units", units=" and ".join(sorted(units))))

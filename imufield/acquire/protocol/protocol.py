@@ -163,9 +163,13 @@ def parse_protocol(
     *,
     read: Mapping[str, object] | None = None,
     label: str = "protocol",
+    options: Mapping[str, str] | None = None,
 ) -> Protocol:
-    """Return the protocol written in ``text``, e.g. as kept in a recording; otherwise like ``load_protocol``."""
-    source = Source(label, text)
+    """Return the protocol written in ``text``, e.g. as kept in a recording; otherwise like ``load_protocol``.
+
+    ``options`` names the option that states a key, where the text was made of options.
+    """
+    source = Source(label, text, options or {})
     top = Table(values=source.parse(), path=(), source=source)
     if top.text("format", "") != "imufield-protocol":
         raise top.error("format", sentence("protocol.format"))

@@ -41,10 +41,15 @@ class Source:
 
     label: str
     text: str
+    options: Mapping[str, str] = field(default_factory=dict)
+    """The option that states a key, where nobody wrote this text: it was made of options."""
 
     def error(self, path: Place, problem: str, reason: Reason | None = None) -> ProtocolError:
         """Return the error for the value at ``path``; its key and values are those of the problem."""
         key = ".".join(map(str, path)) or "(whole file)"
+        if key in self.options:
+            stated = sentence("toml.option", option=self.options[key], problem=problem)
+            return SettingError(_about(stated, problem, key), reason)
         message = sentence("toml.place", label=self.label, line=line_of(self.text, path), key=key, problem=problem)
         return ProtocolError(_about(message, problem, key), reason)
 

@@ -19,7 +19,7 @@ from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, pr
 from imufield.acquire.protocol.can_frame import Frame, pack_frame
 from imufield.acquire.protocol.can_protocol import dbc_table, embed_dbc
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
-from imufield.errors import ProtocolError, Reason, UsageError
+from imufield.errors import ProtocolError, Reason, SettingError, UsageError
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import parse_candump, values_of
 from tests.refused import refused
@@ -302,24 +302,37 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"accelerometer.x": "AccQ"}, "can_dbc.unknown", ("signal 'AccQ'", "'AccZ'")),
         ({"gyroscope.x": "Gyr.GyroX"}, "can_dbc.unknown", ("message 'Gyr'", "'Gyro'")),
         ({"gyroscope.x": "Speed"}, "can_protocol.unit", ("Speed", "'km/h'", "gyroscope")),
+        ({"gyroscope.z": "GyroX"}, "can_protocol.three_signals", ("GyroX, GyroY, GyroX",)),
+        ({"gyroscope.z": "-GyroX"}, "can_protocol.three_signals", ("GyroX, GyroY, -GyroX",)),
         ({"gyroscope.x": "Nameless"}, "can_protocol.unit", ("Nameless", "no unit")),
         ({"gyroscope.x": "AccX"}, "can_protocol.unit", ("AccX", "'g'", "gyroscope")),
         ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC")),
         ({"temperature": "Temp", "temperature.unit": "degR"}, "can_protocol.temperature_unit", ("Temp", "'degR'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
-        ({"counter": "Share"}, "references.no_whole", ("'Share'", "f32", "map.counter")),
-        ({"temperature": "TwinTemp", "starts_with": "Acc"}, "can_protocol.same_identifier", ("Acc, Twin", "map.temperature")),
+        ({"counter": "Share"}, "references.no_whole", ("'Share'", "f32", "counter")),
+        ({"temperature": "TwinTemp", "starts_with": "Acc"}, "can_protocol.same_identifier", ("Acc, Twin", "temperature")),
         ({"starts_with": "Housekeeping"}, "can_protocol.not_mapped", ("'Housekeeping'", "Acc, Gyro")),
         ({"starts_with": "Akk"}, "can_dbc.unknown", ("message 'Akk'", "Acc, Gyro")),
-        ({"counters": "Acc.Count"}, "can_protocol.counters", ("assembly.counters",)),
-        ({"accelerometer.unit": "furlong"}, "can_protocol.unit", ("'furlong'", "map.accelerometer_unit")),
+        ({"counters": "Acc.Count"}, "can_protocol.counters", ("counters",)),
+        ({"accelerometer.unit": "furlong"}, "can_protocol.unit", ("'furlong'",)),
     ],
 )
 def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, wanted: tuple[str, ...]) -> None:
-    with refused(ProtocolError, None, *wanted, key=key) as caught:
+    with refused(SettingError, None, *wanted, key=key) as caught:
         protocol_from_dbc(dbc, {**MAP, **change})
+    assert caught.value.reason is (Reason.UNITS if key.endswith("unit") else Reason.USAGE)
+    option = re.match(r"--map ([a-z_.]+): ", caught.value.message)
+    assert option is not None
+    assert option[1] in change or next(iter(change)).startswith(f"{option[1]}.")
+    # In a protocol file the same is named by its line and key.
+    path = dbc.with_name("mine.toml")
+    path.write_text(protocol_text("mine", dbc.name, {**MAP, **change}), encoding="utf-8")
+    with refused(ProtocolError, None, *wanted, key=key) as caught:
+        load_protocol(path)
     assert caught.value.reason is (Reason.UNITS if key.endswith("unit") else Reason.BAD_PROTOCOL)
-    assert re.search(r"line \d+, key `[a-z_.0-9]+`", caught.value.message)
+    place = re.search(r"line (\d+), key `[a-z]+\.([a-z_.0-9]+)`", caught.value.message)
+    assert place is not None
+    assert path.read_text(encoding="utf-8").splitlines()[int(place[1]) - 1].startswith(place[2])
 
 
 @pytest.mark.parametrize(
@@ -395,14 +408,12 @@ def test_a_time_stamp_counts_in_the_unit_of_the_file(
 
 
 def test_a_wrong_unit_can_be_overruled(dbc: Path) -> None:
-    plain = {**MAP, "gyroscope.x": "Nameless", "gyroscope.y": "Nameless", "gyroscope.z": "Nameless", "gyroscope.unit": "rad/s"}
+    plain = {**MAP, "gyroscope.x": "Nameless", "gyroscope.y": "Share", "gyroscope.z": "Bits", "gyroscope.unit": "rad/s"}
     assert protocol_from_dbc(dbc, plain).units.gyroscope == "rad/s"
 
 
 def test_nothing_mapped_names_candidates(dbc: Path) -> None:
-    with refused(
-        ProtocolError, Reason.BAD_PROTOCOL, "Acc.AccX, Acc.AccY, Acc.AccZ, Gyro.GyroX", key="can_protocol.nothing_mapped"
-    ):
+    with refused(SettingError, Reason.USAGE, "Acc.AccX, Acc.AccY, Acc.AccZ, Gyro.GyroX", key="can_protocol.nothing_mapped"):
         protocol_from_dbc(dbc, {})
 
 
