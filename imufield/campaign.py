@@ -8,7 +8,6 @@ matrices are 3 x 3, and two workers with two threads each would compete for the 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
 import multiprocessing
 import os
@@ -22,7 +21,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from imufield.dataclass import dataclass, field
-from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError, load_package
 from imufield.progress import Task, task
 from imufield.sentences import Sentences
 
@@ -209,11 +208,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
-    try:
-        distributed = importlib.import_module("distributed")
-    except ModuleNotFoundError as error:
-        missing = sentence("campaign.no_distributed", cause=error, package="distributed")
-        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
+    distributed = load_package("distributed", "--scheduler", "study")
     if not _ADDRESS.fullmatch(scheduler):
         raise UsageError(sentence("campaign.scheduler_address", scheduler=scheduler))
     try:

@@ -18,10 +18,14 @@ write is, and what it means, is in ``files.write_error``.
 
 from __future__ import annotations
 
+import importlib
 from enum import Enum
+from types import ModuleType
 from typing import Any, ClassVar
 
-from imufield.sentences import Sentence
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 EXIT_INTERRUPTED = 130
 """What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
@@ -148,3 +152,30 @@ class VerificationError(ImufieldError):
 
     exit_code = 7
     default_reason = Reason.FAILED_REQUIREMENT
+
+
+def missing_package(what: str, package: str, extra: str, cause: object = "") -> UsageError:
+    """Return the error that a package of an extra, or of imufield itself where that is empty, is not installed.
+
+    ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
+    """
+    key = "errors.broken_package" if cause else "errors.missing_package"
+    wanted = f"'.[{extra}]'" if extra else "."
+    return UsageError(sentence(key, what=what, package=package, wanted=wanted, cause=cause), Reason.MISSING_PACKAGE)
+
+
+def load_package(module: str, what: str, extra: str, package: str = "") -> ModuleType:
+    """Return a module of an extra's package, by default of the module's name; ``what`` needs it.
+
+    Raises
+    ------
+    UsageError
+        If the package is not installed, or cannot be imported.
+    """
+    package = package or module.partition(".")[0]
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise missing_package(what, package, extra) from error
+    except (ImportError, OSError) as error:  # OSError: it is there, and a library that it loads is not.
+        raise missing_package(what, package, extra, error) from error

@@ -31,8 +31,7 @@ from imufield.deliver.report.data import (
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
 from imufield.deliver.report.trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
-from imufield.drawing.style import missing_package
-from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError, missing_package
 from imufield.files import real_path, refuse_overwriting, utf8_text
 from imufield.pipeline.solving import read_recording
 from imufield.progress import task
@@ -57,7 +56,7 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     """
     # Asked first: a missing package should not be found out after the replay. To import it takes half a second.
     if importlib.util.find_spec("matplotlib") is None:
-        raise missing_package("matplotlib")
+        raise missing_package("the report", "matplotlib", "report")
     if options.pdf:
         load_weasyprint()
     data, folder = gather(options)

@@ -6,24 +6,19 @@ colour only helps. In SVG letters stay letters (``svg.fonttype`` none): small fi
 
 from __future__ import annotations
 
-import importlib
 import io
 import re
 import textwrap
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
-from imufield.errors import Reason, UsageError
-from imufield.sentences import Sentences
+from imufield.errors import load_package
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
-
-sentence = Sentences(__package__)
 
 INK = "#111111"
 BLUE = "#0b5394"
@@ -34,25 +29,6 @@ WIDTH_IN = 7.0
 _TITLE_LETTERS = 90  # Bold letters of a page's width, in a browser's font too, which may be wider than ours.
 FEW_DECADES = 2
 """Up to here there is room for the numbers 1, 2 and 5 of each."""
-
-
-def load_matplotlib(extra: str = "report") -> ModuleType:
-    """Return the package; ``extra`` is what installs it.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("matplotlib")
-    except ImportError as error:
-        raise missing_package("matplotlib", extra) from error
-
-
-def missing_package(name: str, extra: str = "report") -> UsageError:
-    """Return the error that names the extra."""
-    return UsageError(sentence("style.package", package=name, extra=extra), Reason.MISSING_PACKAGE)
 
 
 def figure(height_in: float) -> Figure:
@@ -113,8 +89,8 @@ def to_png(drawn: Figure) -> bytes:
 
 
 def plot_style(extra: str = "report") -> AbstractContextManager[None]:
-    """Return a context in which figures are drawn and written in the common style; raises as ``load_matplotlib``."""
-    matplotlib = load_matplotlib(extra)
+    """Return a context in which figures are drawn and written in the common style; raises as ``load_package``."""
+    matplotlib = load_package("matplotlib", "a plot", extra)
     # On top of what is set: without the defaults of matplotlib, which the file would bring along.
     settings = matplotlib.rc_params_from_file(Path(__file__).with_name("plots.mplstyle"), use_default_template=False)
     context: AbstractContextManager[None] = matplotlib.rc_context(settings)

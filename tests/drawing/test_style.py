@@ -77,5 +77,5 @@ def test_numbers_of_a_logarithmic_axis_are_plain_and_neither_few_nor_many(high: 
 def test_a_package_that_is_missing_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for extra in ("report", "study"):
-        with refused(UsageError, Reason.MISSING_PACKAGE, f"pip install '.[{extra}]'", key="style.package"):
+        with refused(UsageError, Reason.MISSING_PACKAGE, f"pip install '.[{extra}]'", key="errors.missing_package"):
             plot_style(extra)

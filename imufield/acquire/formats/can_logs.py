@@ -16,7 +16,7 @@ import can
 
 from imufield.acquire.formats import foreign_file_reader
 from imufield.acquire.formats.can_log_heads import CANDUMP, HEADS
-from imufield.acquire.formats.table_arrays import missing_package, start_reader
+from imufield.acquire.formats.table_arrays import start_reader
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.chunk import Chunk
@@ -26,7 +26,7 @@ from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
 from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import Damage, Pacer, recorded_chunks
 from imufield.acquire.recording.session import Session
-from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.errors import LinkError, Reason, RecordingError, UsageError, missing_package
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from imufield.acquire.formats.foreign_file_reader import DAMAGE, IMU_TYPE, first_line
-from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader, unread
+from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, start_reader, unread
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
-from imufield.errors import Reason, RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError, missing_package
 from imufield.files import Origin, open_to_read
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
 from imufield.sentences import Sentences

@@ -22,7 +22,7 @@ from imufield.acquire.formats.foreign_file_reader import Array, Arrays
 from imufield.acquire.formats.table_names import named_column
 from imufield.acquire.formats.table_text import unreadable
 from imufield.dataclass import dataclass, field, replace
-from imufield.errors import Reason, RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError, missing_package
 from imufield.files import open_to_read
 from imufield.samples import AXES, TRIADS, FloatArray
 from imufield.sentences import Sentences, printable, shortened
@@ -183,16 +183,6 @@ def handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, Any]
     arrays: Arrays = {printable(name): np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
     # Arrays of other things are not transferred; their names are reported as ignored.
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
-
-
-def missing_package(what: str, package: str, extra: str, cause: str = "") -> UsageError:
-    """Return the error that a package of an extra, or of imufield itself where that is empty, is not installed.
-
-    ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
-    """
-    wanted = f"'.[{extra}]'" if extra else "."
-    key = "table_arrays.broken_package" if cause else "table_arrays.missing_package"
-    return UsageError(sentence(key, what=what, package=package, wanted=wanted, cause=cause), Reason.MISSING_PACKAGE)
 
 
 def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:

@@ -19,11 +19,8 @@ from typing import Any
 import numpy as np
 
 from imufield.dataclass import dataclass
-from imufield.errors import Reason, UsageError
+from imufield.errors import load_package
 from imufield.samples import FloatArray, IntArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 BRIDGED_S = 1.0
 """A longer hole ends the stretch."""
@@ -156,7 +153,7 @@ class AllanStream:
     """
 
     def __init__(self, interval_s: float, columns: int) -> None:
-        self._allantools = load_allantools()
+        self._allantools = load_package("allantools", "the Allan deviation", "noise")
         self.interval_s = interval_s
         self.columns = columns
         self.samples = 0
@@ -237,20 +234,6 @@ class AllanStream:
             square = float(terms[k]) * np.array([variance[k] for variance in variances])
             level.square[octave] = level.square.get(octave, 0.0) + square
             level.terms[octave] = level.terms.get(octave, 0.0) + float(terms[k])
-
-
-def load_allantools() -> Any:
-    """Return the package.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("allantools")
-    except ImportError as error:
-        raise UsageError(sentence("allan.no_allantools"), Reason.MISSING_PACKAGE) from error
 
 
 def degrees_of_freedom(deviation: AllanDeviation, column: int) -> FloatArray:

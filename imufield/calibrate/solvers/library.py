@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from functools import partial
 from types import ModuleType
 
@@ -11,11 +10,8 @@ import numpy as np
 from imufield.calibrate.solvers.base import Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.dataclass import dataclass
-from imufield.errors import Reason, UsageError
+from imufield.errors import load_package
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +28,7 @@ LIBRARY_SETTINGS = LibrarySettings()
 
 
 def _pymoo(module: str) -> ModuleType:
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise UsageError(sentence("library.no_pymoo", cause=error), Reason.MISSING_PACKAGE, package="pymoo") from error
+    return load_package(module, "each of the methods ga and pso", "study")
 
 
 def solve_with_pymoo(

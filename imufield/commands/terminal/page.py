@@ -13,7 +13,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.options.configuration import instrument_stl
 from imufield.commands.terminal.output import echo, say
-from imufield.errors import Reason, UsageError
+from imufield.errors import UsageError, missing_package
 from imufield.guide.events import EVENT_VERSION
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
@@ -57,7 +57,7 @@ def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None)
         import imufield.web.server  # noqa: F401  (what it needs is missed before anything else begins)
         from imufield.web.address import open_place
     except ImportError as error:
-        raise UsageError(sentence("page.missing", package=error.name), Reason.MISSING_PACKAGE) from error
+        raise missing_package("the page", str(error.name), "web") from error
     _shape()
     place = open_place(lan, port)
     stack.callback(place.listening.close)

@@ -10,7 +10,6 @@ Angular rate and specific force are taken as linear between samples. At rest tha
 
 from __future__ import annotations
 
-import importlib
 import warnings
 from functools import cache
 from types import SimpleNamespace
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imufield.deliver.navigation.drift import Drift
-from imufield.errors import Reason, RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, load_package
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -43,11 +42,8 @@ def load_pyins() -> SimpleNamespace:
     UsageError
         If it is not installed.
     """
-    try:
-        modules = {name: importlib.import_module(f"pyins.{name}") for name in ("earth", "strapdown", "transform", "util")}
-        return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
-    except ImportError as error:
-        raise UsageError(sentence("mechanise.package", package="python-ins"), Reason.MISSING_PACKAGE) from error
+    names = {"pandas": "pandas"} | {name: f"pyins.{name}" for name in ("earth", "strapdown", "transform", "util")}
+    return SimpleNamespace(**{name: load_package(module, "navigation", "nav", "python-ins") for name, module in names.items()})
 
 
 def integrate(state: FloatArray, start_s: float, increments: DataFrame) -> DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Iterator
 from types import ModuleType
@@ -25,8 +24,8 @@ from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Row, parame
 from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
-from imufield.drawing.style import missing_package
 from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.errors import load_package, missing_package
 from imufield.sentences import Sentences, folded, printable, three_digits
 
 sentence = Sentences(__package__)
@@ -85,11 +84,7 @@ def to_pdf(page: str) -> bytes:
 
 def load_weasyprint() -> ModuleType:
     """Return the package; raises as ``to_pdf``."""
-    try:
-        return importlib.import_module("weasyprint")
-    except (ImportError, OSError) as error:
-        # OSError: it is there, and Pango, which it loads, is not.
-        raise missing_package("weasyprint", "pdf") from error
+    return load_package("weasyprint", "--pdf", "pdf")
 
 
 def render(template: str, values: Document, package: str = "imufield.deliver.report") -> str:
@@ -97,7 +92,7 @@ def render(template: str, values: Document, package: str = "imufield.deliver.rep
     try:
         import jinja2
     except ImportError as error:
-        raise missing_package("jinja2") from error
+        raise missing_package("a page", "jinja2", "report") from error
     # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, no HTML, and in one order.
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(name) for name in (package, "imufield.deliver.report")]),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.formats.table_arrays import missing_package
+from imufield.errors import missing_package
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64] | NDArray[np.uint32]]

@@ -280,7 +280,7 @@ def test_mf4_whose_package_cannot_be_imported_is_not_called_empty(
     monkeypatch.syspath_prepend(package.parent)
     monkeypatch.setenv("PYTHONPATH", str(package.parent))
     cause = fault.split("'")[1]
-    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", cause, key="table_arrays.broken_package"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", cause, key="errors.broken_package"):
         list(read_log(path))
 
 

@@ -94,7 +94,7 @@ def test_position_error_is_equation_23() -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     load_pyins.cache_clear()
     monkeypatch.setitem(sys.modules, "pyins.strapdown", None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[nav]", key="mechanise.package") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[nav]", key="errors.missing_package") as caught:
         load_pyins()
     assert caught.value.values["package"] == "python-ins"
     assert caught.value.reason is Reason.MISSING_PACKAGE

@@ -249,7 +249,7 @@ def test_the_same_data_give_the_same_page(data: ReportData) -> None:
 
 def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[report]'", key="style.package") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[report]'", key="errors.missing_package") as caught:
         render_report(data)
     assert caught.value.values["package"] == "jinja2"
     assert caught.value.reason is Reason.MISSING_PACKAGE
@@ -278,11 +278,11 @@ def test_a_page_becomes_a_pdf_of_sheets(data: ReportData) -> None:
     assert len(weasyprint.HTML(string=record).render().pages) == 1
 
 
-@pytest.mark.parametrize("error", [ImportError, OSError])
-def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Exception]) -> None:
+@pytest.mark.parametrize(("error", "key"), [(ModuleNotFoundError, "missing_package"), (OSError, "broken_package")])
+def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Exception], key: str) -> None:
     def missing(name: str) -> None:
         raise error(name)
 
     monkeypatch.setattr("importlib.import_module", missing)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[pdf]'", key="style.package"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[pdf]'", "weasyprint", key=f"errors.{key}"):
         to_pdf("")
