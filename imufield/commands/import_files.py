@@ -24,9 +24,8 @@ from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, SystemClock
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.part_file import is_part
-from imufield.acquire.recording.recorder import Recorder, part_metadata
+from imufield.acquire.recording.recorder import Recorder, part_metadata, protocol_tables
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
-from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.options.configuration import parse_zero
@@ -345,9 +344,7 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
     metadata: dict[str, object] = {
         "kind": "import",
         "instrument": {"driver": options.driver or protocol.name, "model": model, "serial_number": serial_number},
-        "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
-        "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
-        "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
+        **protocol_tables(protocol),
         # What is a default of its own today says nothing about where files of another program were recorded.
         "site": options.site.record(),
         "import": {"files": [str(path) for path in options.files], "began": began or None},

@@ -17,7 +17,7 @@ from imufield.acquire.instrument.baud_search import (
     search,
     serial_candidates,
 )
-from imufield.acquire.instrument.connected import read_identity
+from imufield.acquire.instrument.connected import identity_text, read_identity
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
@@ -248,7 +248,6 @@ def _show(probed: Probed, *, alone: bool) -> None:
 
 def _show_rest(identity: dict[str, str], command: str) -> None:
     if identity:
-        told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
-        say(f"  instrument  {told}", indent=_SECOND_COLUMN)
+        say(f"  instrument  {identity_text(identity)}", indent=_SECOND_COLUMN)
     # The word in capitals is for the reader to fill in; programs are given the command without it.
     echo(beside("  command    ", f"{command} --latitude DEGREES"))

@@ -24,10 +24,9 @@ from imufield.acquire.instrument.connected import (
     Connected,
     ConnectOptions,
     ask_identity,
-    assumed,
     keep,
     read_identity,
-    untried,
+    say_what_is_known,
     with_settings,
 )
 from imufield.acquire.instrument.instrument import Instrument
@@ -204,9 +203,7 @@ def _introduced(
         protocol = with_settings(candidate.driver, protocol, messages, options.rate_hz)
     elif options.rate_hz is not None:
         raise UsageError(sentence("connect.rate_without_driver"))
-    told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
-    for remark in (*untried(candidate.driver), *([f"instrument: {told}"] if told else []), *assumed(protocol)):
-        say(remark)
+    say_what_is_known(candidate.driver, protocol, identity, say)
     model = identity.pop("model", "") or candidate.name
     return Connected(
         link=BackgroundLink(result.link),

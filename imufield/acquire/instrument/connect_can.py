@@ -18,9 +18,8 @@ from imufield.acquire.instrument.connected import (
     Connected,
     ConnectOptions,
     ask_identity,
-    assumed,
     read_identity,
-    untried,
+    say_what_is_known,
     with_settings,
 )
 from imufield.acquire.instrument.instrument import Instrument
@@ -81,8 +80,7 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         if driver is not None and options.driver is None:
             frames = _known_frames(listener)
             say(sentence("connect_can.recognised", driver=candidate.name, frames=frames, title=protocol.title))
-        for remark in (*untried(driver), *assumed(protocol)):
-            say(remark)
+        say_what_is_known(driver, protocol, identity, say)
         model = identity.pop("model", "") or candidate.name
         return Connected(
             link=BackgroundLink(link),

@@ -14,7 +14,8 @@ from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import asdict, dataclass, field
+from imufield.acquire.recording.recorder import protocol_tables
+from imufield.dataclass import dataclass, field
 from imufield.errors import LinkError, Reason
 from imufield.sentences import Sentences, printable
 
@@ -110,9 +111,9 @@ class Connected:
             other = sentence("connected.other_instrument", port=self.link.name, known=known, found=found)
             raise LinkError(other, Reason.FOREIGN)
 
-    def session_tables(self) -> dict[str, dict[str, object]]:
+    def session_tables(self) -> dict[str, object]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
-        protocol, nominal = self.protocol, self.protocol.nominal
+        nominal = self.protocol.nominal
         baud, rates = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
         where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
         virtual: dict[str, object] = {"is_virtual": True} if self.is_virtual else {}
@@ -120,11 +121,7 @@ class Connected:
             "instrument": {"driver": self.driver, "model": self.model, **self.identity},
             # TOML has no value for nothing.
             "link": virtual | {name: value for name, value in {**where, **rates}.items() if value is not None},
-            "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
-            "settings": {
-                name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()
-            },
-            "units": asdict(protocol.units),
+            **protocol_tables(self.protocol),
             "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
         }
 
@@ -132,6 +129,18 @@ class Connected:
 def read_identity(driver: type[Driver], messages: Iterable[Message]) -> dict[str, str]:
     """Return what an instrument said of itself; its texts come from a wire and go to terminals, files and pages."""
     return {name: printable(text) for name, text in driver.identity(messages).items()}
+
+
+def identity_text(identity: Mapping[str, str]) -> str:
+    """Return what an instrument said of itself as a list; empty where it said nothing."""
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
+
+
+def say_what_is_known(driver: type[Driver] | None, protocol: Protocol, identity: Mapping[str, str], say: Say) -> None:
+    """Tell what a person should know of an instrument that was understood."""
+    said = [f"instrument: {told}"] if (told := identity_text(identity)) else []
+    for remark in (*untried(driver), *said, *assumed(protocol)):
+        say(remark)
 
 
 def ask_identity(

@@ -29,6 +29,7 @@ from imufield.acquire.recording.mcap_format import (
     link_message,
     start_of_part,
 )
+from imufield.dataclass import asdict
 from imufield.errors import RecordingError
 from imufield.files import open_regular, sync_folder, write_error
 from imufield.sentences import Sentences
@@ -53,6 +54,15 @@ def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, 
         "protocol_text": protocol.text,
         "protocol_sha256": protocol.sha256,
         "settings": {name: setting.value for name, setting in protocol.settings.items()},
+    }
+
+
+def protocol_tables(protocol: Protocol) -> dict[str, object]:
+    """Return the tables of ``session.toml`` that say how its bytes are decoded, and the samples' units."""
+    return {
+        "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
+        "settings": {name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()},
+        "units": asdict(protocol.units),
     }
 
 

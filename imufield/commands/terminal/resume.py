@@ -186,7 +186,7 @@ def check_instrument(session: Session, connected: Connected) -> None:
     RecordingError
         If driver or serial number differ, as far as both are known.
     """
-    found = connected.session_tables()["instrument"]
+    found = {"driver": connected.driver, **connected.identity}
     # The model is not compared: firmware may call the same unit otherwise.
     for key in _IDENTITY:
         before, now = getattr(session.record.instrument, key), found.get(key)
