@@ -32,6 +32,8 @@ SAMPLE_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "tempera
 
 LARGEST_OUTPUT = 1e12
 """A 40-bit converter: no instrument sends more, and squares of what it sends are numbers. Larger values count as invalid."""
+LARGEST_OFFSET_M_S2 = 30.0
+"""Of an accelerometer: none has one of 3 g. What is larger is the raw zero of a converter."""
 NO_COUNTER = -1
 """Value of ``Samples.counter`` where the instrument sends none."""
 CELL_S = 0.1

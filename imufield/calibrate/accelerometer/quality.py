@@ -19,9 +19,9 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, estimated_share, rms
 from imufield.dataclass import dataclass
-from imufield.earth import MILLI_G_M_S2, Gravity, contradiction
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, LARGEST_OFFSET_M_S2, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -264,8 +264,12 @@ def sigma_sentences(vector: FloatArray, sigma: FloatArray, gravity: Gravity, rem
         reasons.append(sentence(key, remedy=remedy, **sizes_ppm))
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
         key = "quality.bias_sigma" if np.isfinite(bias).all() else "quality.no_bias_sigma"
-        limit_mg = USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2
-        reasons.append(sentence(key, remedy=remedy, sigma_mg=bias.max() / MILLI_G_M_S2, limit_mg=limit_mg))
+        sizes_mg = {"sigma_mg": bias.max() / MILLI_G_M_S2, "limit_mg": USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2}
+        # Of so large a bias, the uncertainty of the scale makes most.
+        if (largest := float(np.abs(vector[BIAS]).max())) > LARGEST_OFFSET_M_S2:
+            bias_g = {"bias_g": largest / STANDARD_GRAVITY_M_S2, "most_g": LARGEST_OFFSET_M_S2 / STANDARD_GRAVITY_M_S2}
+            remedy = sentence("quality.raw_zero", **bias_g)
+        reasons.append(sentence(key, remedy=remedy, **sizes_mg))
     return reasons
 
 

@@ -114,8 +114,12 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     gauge_free = [column for column in LOWER_GAUGE_COLUMNS if column in columns]
     scale = parameter_scale(vector, gravity_m_s2)
     scaled = (derivatives.jacobian * scale)[:, columns]
-    # The three flat directions are taken out before rank and condition are judged.
     turns = (generators(vector) / scale[:, None])[columns]
+    # By the raw offset in place of the bias: what positions show does not hang on the raw zero that is stated.
+    bias_by_scale = vector[BIAS] * scale[SCALE] / vector[SCALE]
+    scaled[:, SCALE] -= bias_by_scale * scaled[:, BIAS]
+    turns[BIAS] += bias_by_scale[:, None] * turns[SCALE]
+    # The three flat directions are taken out before rank and condition are judged.
     complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
     values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
     # Faces alone leave misalignment and quadratic term to the accident of placement, see FACE_COSINE.

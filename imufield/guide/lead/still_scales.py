@@ -18,7 +18,7 @@ from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError
 from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples
+from imufield.samples import LARGEST_OFFSET_M_S2, FloatArray, Samples
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -26,7 +26,6 @@ sentence = Sentences(__package__)
 # Of a logarithm: a scale learned from one still has up to 0.1 of offset in it, and units differ by a factor of 10.
 _SAME_FACTOR = 0.2
 _ENOUGH_STILLS = 12  # Twice what a sphere and the axes need; units differ by so much that these tell them apart.
-_MANY_M_S2 = 30.0  # No accelerometer has an offset of 3 g.
 _MOST_SAMPLES = 1 << 18  # Two minutes at 2000 Hz: the stills of more would tell the same.
 
 
@@ -145,5 +144,5 @@ def _scales_of(finder: StillIntervalFinder) -> StillScales:
     if found.axes.fits:
         scales["gyroscope"] = found.axes.gyroscope_scale
     offset = found.scale.raw_zero - finder.detector.scale.raw_zero
-    is_far = found.scale.centred and np.linalg.norm(offset) > _MANY_M_S2 * (found.scale.accelerometer or math.inf)
+    is_far = found.scale.centred and np.linalg.norm(offset) > LARGEST_OFFSET_M_S2 * (found.scale.accelerometer or math.inf)
     return StillScales(scales, len(found.observations), found.scale.raw_zero if is_far else None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_truth import GRAVITY, edges, faces, outputs, paper24, random_parameters, tilted
 
-from imufield.calibrate.model.models import norm_derivatives, to_vector
+from imufield.calibrate.model.models import BIAS, norm_derivatives, to_vector
 from imufield.calibrate.model.observability import Observability, observe, require_scale_and_bias, require_space
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -56,6 +56,21 @@ def test_a_large_quadratic_term_on_body_axes_does_not_hide_the_turns() -> None:
     raw = outputs(parameters, GRAVITY * paper24())
     seen = observe(norm_derivatives(vector, raw, "body"), vector, GRAVITY, quadratic=True)
     assert seen.rank == 12
+
+
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_a_raw_zero_that_is_not_stated_changes_nothing(quadratic: bool) -> None:
+    rng = np.random.default_rng(3)
+    parameters = random_parameters(rng)
+    raw, vector = outputs(parameters, GRAVITY * tilted(paper24(), rng, 0.03)), to_vector(parameters)
+    seen = observe(norm_derivatives(vector, raw), vector, GRAVITY, quadratic=quadratic)
+    # The same outputs about a mid-scale of 40 m/s^2, as a large bias.
+    shifted = vector.copy()
+    shifted[BIAS] += 40.0
+    there = observe(norm_derivatives(shifted, raw + 40.0 * parameters.scale), shifted, GRAVITY, quadratic=quadratic)
+    assert (there.rank, there.free, there.unobservable) == (seen.rank, seen.free, seen.unobservable)
+    assert there.condition == pytest.approx(seen.condition, rel=1e-9)
+    assert seen.condition < 10
 
 
 def test_one_side_of_an_axis_is_refused_by_name() -> None:
