@@ -35,7 +35,7 @@ from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import NO_COUNT, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import dataclass, field, replace
-from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every, median
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -45,10 +45,13 @@ _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
-_SAME_RESTARTS = 4  # One can be a restart of the instrument, or a sample that came early.
+_SAME_RESTARTS = (
+    4  # Of twice as many, the others with losses. One can be a restart of the instrument, or a sample that came early.
+)
 _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
 _UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
+_MOST_STANDING = 0.25  # Share of the samples with the count of the one before: more than of frames that were sent twice.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -83,10 +86,11 @@ class CanClock(Clock):
         self._last_time_s = -np.inf
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
-        self._newest = np.full(2, NO_COUNTER, dtype=np.int64)  # The last counts that came.
-        self._newest_s = np.empty(0)  # Their stamps, and some before.
-        # The counts before and behind the last restarts that the modulus does not explain.
-        self._restarts: deque[tuple[int, int]] = deque(maxlen=_SAME_RESTARTS)
+        self._first = 0  # The count that it begins anew with.
+        # The last counts that came, and their stamps.
+        self._newest, self._newest_s = np.empty(0, dtype=np.int64), np.empty(0)
+        # Of the last restarts that the modulus does not explain: the modulus that does, and the count behind it.
+        self._restarts: deque[tuple[int, int]] = deque(maxlen=2 * _SAME_RESTARTS)
         self._counter_step = 1
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
@@ -106,58 +110,60 @@ class CanClock(Clock):
         if not self._modulus:
             return
         seen, stamp_s = np.concatenate([self._newest, block.counter]), np.concatenate([self._newest_s, block.stamp_s])
-        self._newest, self._newest_s = seen[-2:], stamp_s[-_RECENT:]
-        before = self._modulus
-        if seen[seen.argmax()] >= before:
-            self._widen(seen)
-        if not every(seen[1:-1] <= seen[2:]):
-            self._narrow(seen, np.diff(stamp_s))
+        self._newest, self._newest_s = seen[-_RECENT:], stamp_s[-_RECENT:]
+        before, fresh = self._modulus, seen[-len(block) - 2 :]
+        if fresh[fresh.argmax()] >= self._first + before:
+            self._widen(fresh)
+        if not every(fresh[:-1] <= fresh[1:]):
+            self._narrow(seen, np.diff(stamp_s), len(block))
         if self._modulus != before and self._phase is not None:
             self._set_unit(self._phase)
 
-    def _narrow(self, seen: IntArray, steps_s: FloatArray) -> None:
-        """Shorten the modulus when the counter restarts ``_SAME_RESTARTS`` times in a row between the same two counts.
+    def _narrow(self, seen: IntArray, steps_s: FloatArray, fresh: int) -> None:
+        """Shorten the modulus when ``_SAME_RESTARTS`` restarts, with none between that it explains, show the same shorter one.
 
-        Where samples were lost there, the time stamps show it; of stamps in bursts nothing is learned.
+        How many samples were lost at a restart the time stamps show. Where they come in bursts, only a counter is believed that
+        says much more of its restarts than these hide.
         """
-        before, lasts, firsts = seen[:-2], seen[1:-1], seen[2:]
-        falls = (firsts < lasts) & (firsts >= 0) & (lasts < self._modulus) & np.isin(lasts - before, self._rule.counter_steps)
-        if not falls.any() or len(steps_s) < LEARN_SAMPLES:
+        steps, step = np.diff(seen), min(self._rule.counter_steps)
+        regular = np.isin(steps, self._rule.counter_steps)
+        if np.count_nonzero(regular) < _RECENT // 2 or not (period_s := float(np.mean(steps_s[regular]))) > 0:
             return
-        usual_s, step = float(median(steps_s)), min(self._rule.counter_steps)
-        period_s = usual_s if self._phase is None else self._phase.period_s
-        is_even = np.mean(np.abs(steps_s - usual_s) > _UNEVEN * usual_s) <= _UNEVEN
-        if not (is_even and usual_s > 0 and abs(usual_s - period_s) <= _UNEVEN * period_s):
-            return
+        unevenness = float(np.quantile(np.abs(steps_s[regular] / period_s - 1), _USUAL_DELAY))
+        is_count = self._is_count(seen)
+        falls = (steps[1:] < 0) & regular[:-1] & is_count[1:-1] & is_count[2:]
         for place in np.flatnonzero(falls).tolist():
-            last, first = int(lasts[place]), int(firsts[place])
-            forward = (first - last) % self._modulus
-            if forward in self._rule.counter_steps or last - first < _LEAST_ROUND:
+            if place + 2 < len(seen) - fresh:
+                continue
+            last, first, passed = int(seen[place + 1]), int(seen[place + 2]), float(steps_s[place + 1]) / period_s
+            forward = (first - last) % self._modulus / step
+            shown = max(round(passed), 1) if unevenness <= _UNEVEN else 1
+            if forward <= shown or last - first < _LEAST_ROUND:
                 self._restarts.clear()
-            # Both end with the same sample.
-            elif steps_s[place - len(firsts)] < (1 + forward / step) / 2 * usual_s:
-                self._restarts.append((last, first))
-                if self._restarts.count((last, first)) == _SAME_RESTARTS:
-                    self._modulus = last - first + step
+            elif passed < (1 + forward) / 2 and unevenness <= _UNEVEN * (forward - 1):
+                self._restarts.append((last - first + shown * step, first))
+                lengths, firsts = zip(*self._restarts, strict=True)
+                if lengths.count(lengths[-1]) == _SAME_RESTARTS:
+                    self._modulus, self._first = lengths[-1], min(firsts)
 
     def _widen(self, seen: IntArray) -> None:
         """Let a counter that goes on beyond its stated end go on to the next power of two.
 
         A number beyond the end is a count where those before and behind it fit; else it stands for something (15: none).
         """
-        steps = np.diff(seen)
-        fits = (seen[1:-1] >= self._modulus) & (seen[:-2] >= 0) & np.isin(steps[:-1], self._rule.counter_steps)
+        steps, end = np.diff(seen), self._first + self._modulus
+        fits = (seen[1:-1] >= end) & (seen[:-2] >= 0) & np.isin(steps[:-1], self._rule.counter_steps)
         # From the number beyond the end the counter goes on by the same step, or begins anew behind it.
         goes_on = fits & (steps[1:] == steps[:-1])
         ends = [int(seen[2:][goes_on].max(initial=-1))]
         for place in np.flatnonzero(fits & (steps[1:] < 0) & (seen[2:] >= 0)).tolist():
             count, behind = int(seen[place + 1]), int(seen[place + 2])
             ends += [count] if (behind - count) % (1 << count.bit_length()) == steps[place] else []
-        if max(ends) >= self._modulus:
-            self._modulus = min(1 << max(ends).bit_length(), _LARGEST_MODULUS)
+        if max(ends) >= end:
+            self._modulus, self._first = min(1 << max(ends).bit_length(), _LARGEST_MODULUS), 0
 
     def _is_count(self, counter: IntArray) -> NDArray[np.bool_]:
-        return np.asarray((counter >= 0) & (counter < self._modulus))
+        return np.asarray((counter >= self._first) & (counter < self._first + self._modulus))
 
     def _continuous(self, block: RawBlock) -> RawBlock:
         """Take out jumps of the clock that made the stamps, and flag the samples behind them."""
@@ -203,7 +209,8 @@ class CanClock(Clock):
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
-            if len(steps) >= LEARN_SAMPLES and sum(counts) < _LEAST_REGULAR * len(steps):
+            share, standing = sum(counts) / max(len(steps), 1), np.count_nonzero(steps == 0) / max(len(steps), 1)
+            if len(steps) >= LEARN_SAMPLES and (share < _LEAST_REGULAR or standing > _MOST_STANDING):
                 # It stands, runs back, or counts something else.
                 self._modulus, self._last_counter = 0, None
                 self._statistics.count(NO_COUNT, len(block))

@@ -105,7 +105,11 @@ class Assembler:
         self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1
         self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
-        self._done = 0  # By counter: samples given out of those that begin with the first frames of the next block.
+        # By counter: samples given out of those that begin with the first frames of the next block, which of these frames are
+        # used, and the count of the beginning before them.
+        self._done = 0
+        self._used = np.zeros(0, dtype=np.bool_)
+        self._group_before = -1
 
     @property
     def start(self) -> int:
@@ -215,10 +219,8 @@ class Assembler:
         return len(rows) if old else len(rows) - 1
 
     def _by_counter(self, frames: SampleFrames, group: IntArray, last: bool) -> Groups:
-        starts = np.flatnonzero(frames.kind == self._start)
-        repeated = np.zeros(len(starts), dtype=np.bool_)
-        repeated[1:] = np.diff(group[starts]) == 0
-        starts = starts[~repeated]
+        all_starts = np.flatnonzero(frames.kind == self._start)
+        starts = all_starts[np.diff(group[all_starts], prepend=self._group_before) != 0]
         rows = np.full((len(starts), self._kinds), NO_FRAME)
         rows[:, self._start] = starts
         for other in range(self._kinds):
@@ -230,8 +232,13 @@ class Assembler:
         open_from = int(starts[settled]) if settled < len(starts) else len(frames)
         keep_from = len(frames) if last else max(0, open_from - _LATE_FRAMES)
         self._done = settled - int(np.searchsorted(starts[:settled], keep_from))
-        taken = int(np.count_nonzero((rows[:settled] != NO_FRAME) & (rows[:settled] < keep_from)))
-        return Groups(fresh, keep_from - taken, keep_from)
+        used = np.zeros(len(frames), dtype=np.bool_)
+        used[: len(self._used)] = self._used
+        used[fresh[fresh != NO_FRAME]] = True
+        self._used = used[keep_from:]
+        gone = int(np.searchsorted(all_starts, keep_from))
+        self._group_before = int(group[all_starts[gone - 1]]) if gone else self._group_before
+        return Groups(fresh, int(np.count_nonzero(~used[:keep_from])), keep_from)
 
     def _same_count(self, places: IntArray, starts: IntArray, group: IntArray, time_s: FloatArray) -> IntArray:
         """Return for each start the nearest of ``places`` with its count, within the limit."""

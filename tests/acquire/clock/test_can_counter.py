@@ -12,7 +12,10 @@ from tests.acquire.clock.test_can_clock import bursty, jitter, run
 from tests.told import told
 
 
-@pytest.mark.parametrize(("first", "last", "bits"), [(0, 14, 4), (1, 15, 4), (0, 199, 8), (1, 255, 8), (0, 2, 2)])
+@pytest.mark.parametrize(
+    ("first", "last", "bits"),
+    [(0, 14, 4), (1, 15, 4), (5, 12, 4), (0, 199, 8), (1, 255, 8), (20, 59, 8), (100, 199, 8), (0, 2, 2)],
+)
 def test_a_counter_that_begins_anew_where_no_file_says_is_learned(first: int, last: int, bits: int) -> None:
     count = last - first + 1
     kept = np.delete(np.arange(8000), [1700, 5100, 5101])
@@ -30,6 +33,8 @@ def test_a_counter_that_begins_anew_where_no_file_says_is_learned(first: int, la
         pytest.param(-np.arange(8000) % 16, id="runs back"),
         pytest.param(10 * np.arange(8000) % 256, id="counts something else"),
         pytest.param(np.random.default_rng(1).integers(0, 256, 8000), id="is none"),
+        pytest.param(np.arange(8000) // 2 % 256, id="counts every second"),
+        pytest.param(np.arange(8000) // 3 % 256, id="counts every third"),
     ],
 )
 @pytest.mark.parametrize("block", [7, 8000])
@@ -67,6 +72,20 @@ def test_losses_at_one_place_are_no_restart(name: str, modulus: int, block: int)
     _, statistics = run(kept / 100.0 + jitter(len(kept), 2e-4), counter=kept % modulus, modulus=modulus, block=block)
     assert statistics.lost == (np.diff(kept) - 1).sum()
     assert statistics.rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "burst_s"), [("none", 0.016), ("one of five", 0.0), ("one of five", 0.016)])
+@pytest.mark.parametrize("block", [7, 12_000])
+def test_bursts_and_losses_hide_no_restart_that_seems_to_lose_much_more(name: str, burst_s: float, block: int) -> None:
+    kept = np.arange(12_000) if name == "none" else np.flatnonzero(~lost_at(name))
+    stamp_s = bursty(kept / 100.0, burst_s) if burst_s else kept / 100.0 + jitter(len(kept), 5e-4)
+    samples, statistics = run(stamp_s, counter=kept % 200, modulus=256, block=block)
+    # Live, of the rounds before it is learned 56 each are invented; of some of those, losses hide the restart.
+    invented = statistics.lost - int((np.diff(kept) - 1).sum())
+    assert invented == 0 if block == len(kept) else 0 <= invented <= 8 * 56
+    late = len(samples.time_s) // 2
+    error_s = samples.time_s[late:] - kept[late:] / 100.0
+    assert np.ptp(error_s) < max(2 * burst_s, 0.005)
 
 
 def test_of_stamps_in_bursts_no_restart_is_learned() -> None:

@@ -30,6 +30,7 @@ def assemble(assembler: Assembler, frames: Bus, cuts: list[int], *, by_counter: 
     """Return for each sample the numbers its frames have, feeding block after block."""
     done: list[list[int | None]] = []
     kept: Bus = []
+    _step.left_out = 0
     edges = [0, *cuts, len(frames)]
     for begin, end in itertools.pairwise(edges):
         done += _step(assembler, kept := kept + frames[begin:end], by_counter, last=False)
@@ -39,6 +40,7 @@ def assemble(assembler: Assembler, frames: Bus, cuts: list[int], *, by_counter: 
 
 class _Step:
     keep_from = 0
+    left_out = 0
 
     def __call__(self, assembler: Assembler, frames: Bus, by_counter: int, *, last: bool) -> list[list[int | None]]:
         numbers = np.array([number for _, _, number in frames], dtype=np.int64)
@@ -51,7 +53,7 @@ class _Step:
             ),
             last=last,
         )
-        self.keep_from = groups.keep_from
+        self.keep_from, self.left_out = groups.keep_from, self.left_out + groups.left_out
         return [[None if at == NO_FRAME else int(numbers[at]) for at in row] for row in groups.rows.tolist()]
 
 
@@ -156,3 +158,16 @@ def test_by_counter_order_does_not_matter(seed: int) -> None:
         assert row[0] is not None
         for kind in (1, 2):
             assert row[kind] == (row[0] if (kind, row[0]) in there else None)
+
+
+@pytest.mark.parametrize("pattern", [(0, 1), (0, 0, 1), (0, 1, 1), (0, 1, 0, 1), (0, 0, 1, 1)])
+@pytest.mark.parametrize("apart_s", [0.0002, 0.0025])
+@pytest.mark.parametrize("size", [1, 3, 25, 1000])
+def test_by_counter_copies_make_no_sample_and_all_else_is_used(pattern: tuple[int, ...], apart_s: float, size: int) -> None:
+    frames = [
+        (kind, number * PERIOD_S + place * apart_s, number) for number in range(300) for place, kind in enumerate(pattern)
+    ]
+    rule = AssemblyRule(starts_with=0, limit_s=0.015, by_counter=True)
+    found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
+    assert found == [[number, number] for number in range(300)]
+    assert _step.left_out == len(frames) - 600
