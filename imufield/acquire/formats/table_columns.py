@@ -23,7 +23,7 @@ from imufield.acquire.formats.table_names import (
 )
 from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass
-from imufield.errors import Reason, UsageError
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
 from imufield.sentences import Sentences, shortened
 
@@ -71,6 +71,10 @@ _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 # Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
 FASTEST_RAD_S = 20.0
+_FEWEST_CODES = 1 << 10  # Of a converter: smaller numbers are in a unit.
+_MIDDLE = 1 / 16  # Of the range of all codes, to either side of its middle.
+_FEW = 1e-3  # Share of the outputs that are damage.
+_MANY = 0.05  # And one that is none.
 
 
 @dataclass(frozen=True, slots=True)
@@ -403,6 +407,31 @@ def choose_unit(
     possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
     guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)
     return guess, 1.0, sentence(key, quantity=quantity, unit=guess, found=found, found_deg=np.degrees(found))
+
+
+def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
+    """Refuse two's complement that was read without its sign: outputs near both ends of its bits and never between.
+
+    Raises
+    ------
+    RecordingError
+        With the bits, and what to subtract.
+    """
+    known = values[np.isfinite(values).all(axis=1)]
+    if not (len(known) and (known >= 0).all() and np.array_equal(known, np.rint(known)) and known.max() >= _FEWEST_CODES / 2):
+        return
+    bits = int(known.max()).bit_length()
+    share = known / (1 << bits)
+    if np.mean(np.abs(share - 0.5) < _MIDDLE) < _FEW and min(np.mean(share < 0.5), np.mean(share > 0.5)) > _MANY:
+        values_of = {
+            "path": path,
+            "quantity": quantity,
+            "bits": bits,
+            "top": (1 << bits) - 1,
+            "half": 1 << bits - 1,
+            "all": 1 << bits,
+        }
+        raise RecordingError(sentence("table_columns.unsigned", **values_of), Reason.BAD_DATA)
 
 
 def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_zero: bool) -> tuple[str, str, float]:

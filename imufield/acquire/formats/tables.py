@@ -26,6 +26,7 @@ from imufield.acquire.formats.table_columns import (
     given_time_unit,
     refuse_bursts,
     refuse_coarse_times,
+    refuse_unsigned,
     spread_times,
 )
 from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
@@ -312,6 +313,7 @@ def _table(
     # Rows have flags where a column of them is read, whatever a recording has.
     found, guessed, stated = {name: value for name, value in known.items() if name != STATUS}, {}, {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
+        refuse_unsigned(", ".join(dict.fromkeys(str(file.path) for file in files)), quantity, rows[:, columns])
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
             rows[:, columns] *= factor

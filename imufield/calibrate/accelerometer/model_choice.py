@@ -109,10 +109,7 @@ def find_origin(
         if model != "linear":
             origin[QUADRATIC] = lower[QUADRATIC]
     derivatives = norm_derivatives(origin, data.raw, data.quadratic_axes)
-    # Outputs so far from what a still accelerometer gives that the model has no inverse there.
-    for row in np.flatnonzero(~np.isfinite(derivatives.jacobian).all(axis=1)):
-        values = {"position": int(row) + 1, "count": len(data.raw), "output": data.raw[row].tolist()}
-        raise CalibrationError(sentence("model_choice.unexplained", gravity_m_s2=data.gravity_m_s2, **values), Reason.BOUNDS)
+    _require_inverse(data, derivatives.jacobian)
     observability = observe(derivatives, origin, data.gravity_m_s2, quadratic=True)
     require_scale_and_bias(observability)
     # This number of positions could at best fit these without a single one to spare.
@@ -130,6 +127,13 @@ def find_origin(
         full = closed_form_start(data.raw, data.gravity_m_s2, sign)
         origin = np.concatenate([full[:_FIRST_QUADRATIC], origin[QUADRATIC]])
     return origin, observability
+
+
+def _require_inverse(data: FitData, jacobian: FloatArray) -> None:
+    """Refuse outputs so far from what a still accelerometer gives that the model has no inverse there."""
+    for row in np.flatnonzero(~np.isfinite(jacobian).all(axis=1)):
+        values = {"position": int(row) + 1, "count": len(data.raw), "output": data.raw[row].tolist()}
+        raise CalibrationError(sentence("model_choice.unexplained", gravity_m_s2=data.gravity_m_s2, **values), Reason.BOUNDS)
 
 
 def choose_model(
@@ -224,6 +228,7 @@ def _all_terms(
     else:
         basis = column_basis(origin, free, data.gravity_m_s2)
         everything = fit_beside(data, linear, basis, None if form is None else form.columns)
+        _require_inverse(data, everything.jacobian)
     columns = {k: place for place, k in enumerate(free)}
     coordinates: dict[Term, tuple[int, ...]] = {}
     value = np.zeros(everything.basis.shape[1])
@@ -245,7 +250,9 @@ def _fit(data: FitData, origin: FloatArray, free: tuple[int, ...], *, quadratic:
         origin[[k for k in free if k >= _FIRST_QUADRATIC]] = 0.0
         free = tuple(k for k in free if k < _FIRST_QUADRATIC)
     basis = column_basis(origin, free, data.gravity_m_s2)
-    return fit(data, origin, basis, drift=None if drift is None else drift.columns)
+    fitted = fit(data, origin, basis, drift=None if drift is None else drift.columns)
+    _require_inverse(data, fitted.jacobian)
+    return fitted
 
 
 def _untested(data: FitData, origin: FloatArray, free: tuple[int, ...], model: ModelChoice) -> ChosenModel:

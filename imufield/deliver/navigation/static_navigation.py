@@ -112,6 +112,7 @@ class StaticNavigation:
         self._sets = {name: ParameterSet(apply, settings, checks_gravity=name == tested) for name, apply in sets.items()}
         self._temperature = TemperatureHold()
         self._counts = np.zeros(2, dtype=np.int64)
+        self._has_gyroscope = False
         self._gap_s = 0.0
         self._start_s: float | None = None
         self._last_s = 0.0
@@ -122,7 +123,9 @@ class StaticNavigation:
         if self.stopped is not None:
             return
         samples = self._temperature.fill(samples)
-        usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & np.isfinite(samples.gyroscope).all(axis=1)
+        turns = np.isfinite(samples.gyroscope).all(axis=1)
+        self._has_gyroscope |= bool(turns.any())
+        usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & turns
         self._counts += (len(samples), len(samples) - int(usable.sum()))
         kept = samples if usable.all() else samples[usable]
         if not len(kept):
@@ -174,6 +177,8 @@ class StaticNavigation:
 
     def _check_whole(self) -> None:
         total, lost = (int(count) for count in self._counts)
+        if total and not self._has_gyroscope:
+            raise RecordingError(sentence("check.no_gyroscope"), Reason.BAD_DATA)
         if total and lost > LARGEST_LOSS * total:
             raise RecordingError(sentence("check.lost", lost=lost, total=total, limit=LARGEST_LOSS), Reason.NOT_FINITE)
         if self.stopped is not None:

@@ -127,6 +127,9 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all() or is_frozen(cells):
         return False
     floor = measure_floor(cells)
+    # A force of zero is that of no rest: it would tell neither a scale nor which side is up.
+    if not np.any(floor.mean[:3] - scale.raw_zero):
+        return False
     limits = scale.learn(floor.mean[:3]).per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
     plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)
     return plausible and is_even(cells, floor, scale)

@@ -360,3 +360,22 @@ def test_a_stated_unit_is_taken_at_its_word(tmp_path: Path, unit: str, kept: str
     np.testing.assert_allclose(table.rows[:, 4:7], factor * GYROSCOPE, rtol=1e-12)
     np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
     np.testing.assert_allclose(table.rows[:, 7], TIME + 20, rtol=1e-9)
+
+
+@pytest.mark.parametrize("bits", [12, 16, 20])
+@pytest.mark.parametrize("triad", ["accelerometer", "gyroscope"])
+def test_twos_complement_without_its_sign_is_named(tmp_path: Path, bits: int, triad: str) -> None:
+    rng = np.random.default_rng(bits)
+    up = rng.standard_normal((500, 3))
+    sizes = {"accelerometer": up / np.linalg.norm(up, axis=1)[:, None] / 4, "gyroscope": rng.normal(0, 0.05, (500, 3))}
+    codes = np.rint({name: size * (1 << bits) for name, size in sizes.items()}[triad])
+    others = np.full((500, 3), 5.7)
+    for values in (codes, codes + (1 << bits - 1)):  # With its sign, and about mid-scale.
+        shown = [values, others] if triad == "accelerometer" else [others, values]
+        read_tables([write(tmp_path, text_of(np.arange(500) / 100, *shown))])
+    lost = codes % (1 << bits)
+    path = write(tmp_path, text_of(np.arange(500) / 100, *([lost, others] if triad == "accelerometer" else [others, lost])))
+    with refused(RecordingError, Reason.BAD_DATA, str(path), triad, str(1 << bits), key="table_columns.unsigned"):
+        read_tables([path])
+    with refused(RecordingError, Reason.BAD_DATA, key="table_columns.unsigned"):
+        next(stream_table(path))

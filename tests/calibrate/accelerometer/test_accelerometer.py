@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from calibration_truth import (
 )
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.model_choice import ModelChoice
 from imufield.calibrate.model.gauge import change_gauge, intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import Calibration, Gauge, QuadraticAxes
@@ -376,6 +378,15 @@ def test_a_preset_that_bends_too_much_is_named() -> None:
         calibrate_accelerometer(campaign(truth, rng), EXACT, preset=preset)
     assert "position" in caught.value.values
     assert caught.value.reason is Reason.BOUNDS
+
+
+@pytest.mark.parametrize("model", ["auto", "linear", "quadratic"])
+@pytest.mark.parametrize("seed", range(6))
+def test_outputs_whose_sign_was_lost_give_a_calibration_or_a_calibration_error(seed: int, model: ModelChoice) -> None:
+    rng = np.random.default_rng(seed)
+    signed = 1670 * GRAVITY * tilted(rng.normal(0, 1, (24, 3)), rng, 0.1) + rng.normal(0, 300, 3)
+    with suppress(CalibrationError):
+        assert calibrate_accelerometer(observe(signed % 65536), EXACT, model=model).quality.verdict == "poor"
 
 
 @pytest.mark.parametrize("seed", range(60))

@@ -50,6 +50,19 @@ def test_rest_is_still_and_a_turn_is_not() -> None:
     assert moving.max() < 715
 
 
+@pytest.mark.parametrize(("sway_deg", "moves"), [(1.0, True), (0.0, False)])
+def test_a_hand_all_the_time_is_no_noise(sway_deg: float, moves: bool) -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    # Beside the poorest noise of an instrument, the tilt of an arm from second to second.
+    sigma = np.repeat([0.015, np.radians(0.08)], 3)
+    tilt = np.radians(sway_deg) * rng.standard_normal((600, 2))
+    means = np.array([0, 0, 9.8, 0, 0, 0]) + sigma * rng.standard_normal((600, 6))
+    means[:, :2] += 9.8 * tilt
+    means[1:, 3:5] += np.diff(tilt, axis=0)
+    assert (np.count_nonzero(moving_seconds(means)) > 60) == moves
+    assert moves or not moving_seconds(means).any()
+
+
 def test_noise_density_is_that_of_the_second_means() -> None:
     noise = measure_noise(rest())
     np.testing.assert_allclose(noise.density, np.repeat([5e-5, 6e-7], 3), rtol=0.06)

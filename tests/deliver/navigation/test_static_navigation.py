@@ -133,6 +133,13 @@ def test_values_that_are_no_numbers_are_bridged_up_to_a_limit() -> None:
     assert caught.value.reason is Reason.NOT_FINITE
 
 
+def test_a_recording_without_gyroscope_is_refused_for_that() -> None:
+    samples = recording(random_attitude(0), 900, 10.0)
+    samples.gyroscope[:] = np.nan
+    with refused(RecordingError, Reason.BAD_DATA, key="check.no_gyroscope"):
+        check(samples)
+
+
 @pytest.mark.parametrize("factor", [0.0, 0.1, 1.1, 1e6])
 def test_force_that_is_not_gravity_is_refused(factor: float) -> None:
     samples = recording(random_attitude(0), 900, 10.0)

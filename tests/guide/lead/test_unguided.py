@@ -190,6 +190,19 @@ def test_a_recording_without_a_quiet_stretch_is_refused(make_path: Any) -> None:
         find_still_intervals([samples])
 
 
+@pytest.mark.parametrize("scale", [None, RoughScale(), RoughScale(accelerometer=1.0, gyroscope=1.0)])
+def test_an_accelerometer_that_shows_zero_is_no_rest(make_path: Any, scale: RoughScale | None) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 5).turn([1, 0.1, 0], 1).hold([1, 0.1, 0], 5).samples()
+    dead = replace(samples, accelerometer=np.zeros_like(samples.accelerometer))
+    with refused(CalibrationError, Reason.TOO_FEW, key="unguided.zero"):
+        find_still_intervals([dead], scale=scale)
+    # Where it dies in a session, that hold alone is refused.
+    later = samples.time_s > samples.time_s[0] + 7.0
+    found = find_still_intervals([replace(samples, accelerometer=np.where(later[:, None], 0.0, samples.accelerometer))])
+    assert len(found.observations) == 1
+    assert [refusal.reason for _, refusal in found.refused] == [RefusalCode.STUCK]
+
+
 def test_an_empty_recording_is_refused() -> None:
     with refused(CalibrationError, Reason.TOO_FEW, "3 s", "m/s^2", key="unguided.never_quiet"):
         find_still_intervals([no_samples(SampleUnits())])
