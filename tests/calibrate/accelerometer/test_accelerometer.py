@@ -23,10 +23,9 @@ from calibration_truth import (
 )
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.accelerometer.model_choice import ModelChoice
 from imufield.calibrate.model.gauge import change_gauge, intrinsic
 from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.result import Calibration, Gauge, QuadraticAxes
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, QuadraticAxes
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
