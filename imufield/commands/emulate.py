@@ -245,5 +245,5 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
         remedies = _slower(options, rate_hz)
         say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ, remedies=remedies), err=True)
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
-    asks = "type poses, e.g. x+ or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
-    echo(f"{waits}{asks}Ctrl-C ends it")
+    asks = "type poses, e.g. +x or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
+    say(f"{waits}{asks}Ctrl-C ends it")

@@ -7,7 +7,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from imufield.deliver.judged_history import JudgedHistory, judge_histories
 from imufield.deliver.pair_test import Change
 from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.deliver.parameters.printed_numbers import beside, hanging, shown_on, with_sigma
+from imufield.drawing.printed_lines import aligned
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentence, Sentences, counted, folded
@@ -108,11 +109,14 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
         changes = {change.name: change for change in history.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = history.entries[-1].numbers if changes else ()
-        headings = [("parameter", "value ± sigma", "unit", "newest vs. previous")] if numbers else []
-        for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
-            echo(line)
+        if numbers:
+            rows = [("parameter", "value ± sigma", "unit", "change")]
+            rows += [_cells(number, changes.get(number.name)) for number in numbers]
+            for printed in aligned([[(cell, "") for cell in row] for row in rows], "<><>"):
+                echo(shown_on(sys.stdout, "".join(words for words, _ in printed).rstrip()))
+            echo(hanging("  - ", sentence("history.change")))
         if any(number.name.startswith("angle") for number in numbers):
-            echo(hanging("    ", sentence("history.angles")))
+            echo(hanging("  - ", sentence("history.angles")))
         for line in folded(_said(history, options, now)):
             echo(hanging("  - ", line))
     alone = sum(len(history.instrument.entries) == 1 for history in histories)
@@ -133,15 +137,6 @@ def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:
     name, unit, size = shown_as(number.name, number.unit)
     value = number.value if unit == number.unit else number.value - 1
     return name, with_sigma(value / size, number.sigma / size, sign=True), unit, moved
-
-
-def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
-    """Yield lines no wider than their contents need: a terminal of 80 columns would break wider ones in a number."""
-    name, value, unit, moved = (max((len(row[k]) for row in rows), default=0) for k in range(4))
-    for row in rows:
-        line = f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
-        # Another encoding has no sign for plus-minus, and printing one would end the program.
-        yield shown_on(sys.stdout, line)
 
 
 def _instrument(history: JudgedHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:

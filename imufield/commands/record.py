@@ -125,7 +125,7 @@ def _record(
 def _trouble(link: ReconnectingLink, stream: SameStream) -> tuple[str, str]:
     """Return why no sample arrives, and what is said when it does again; empty while all is well."""
     if link.lost is not None:
-        return sentence("record.waiting", lost=link.lost.message), sentence("record.back")
+        return sentence("record.waiting", lost=link.lost.message.removesuffix(".")), sentence("record.back")
     if link.is_silent:
         return sentence("record.silent", port=link.name), sentence("record.data_again")
     if stream.is_unread:

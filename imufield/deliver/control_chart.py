@@ -116,7 +116,9 @@ def plot_history(history: JudgedHistory) -> bytes:
                 axes.plot(time[news], chart.values[news], "s", color=ORANGE, markersize=5)
                 axes.set_title(f"{chart.name}, {chart.unit}", fontsize=8)
                 axes.tick_params(axis="x", rotation=30)
-        title(drawn, sentence("control_chart.title", title=history.instrument.title, sessions=len(history.entries)))
+        has_limits = any(np.isfinite(chart.half_width).any() for chart in found)
+        key = "control_chart.title" if has_limits else "control_chart.title_alone"
+        title(drawn, sentence(key, title=history.instrument.title, sessions=len(history.entries)))
         return to_svg(drawn, "history").encode("utf-8")
 
 

@@ -136,11 +136,12 @@ def test_the_table_has_headings_and_scales_as_errors(folder: Path, capsys: pytes
     assert run(["history", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (heading,) = [line for line in lines if "parameter " in line]
-    assert heading.split() == ["parameter", "value", "±", "sigma", "unit", "newest", "vs.", "previous"]
-    (scale,) = [line for line in lines if line.startswith("    scale error x")]
+    assert heading.split() == ["parameter", "value", "±", "sigma", "unit", "change"]
+    (scale,) = [line for line in lines if line.startswith("scale error x")]
     truth = load(folder / "two.toml").calibration.intrinsic.scale[0]
     # Rounded to a tenth of its sigma.
     assert float(scale.split()[3]) == pytest.approx((truth - 1) * 1e6, abs=float(scale.split()[5]) / 10)
     assert scale.split()[4] == "±"
     assert scale.split()[6] == "ppm"
     assert max(map(len, lines)) <= 80
+    assert max(len(line) for line in lines if line.endswith(" sigma")) <= 60
