@@ -278,6 +278,7 @@ ACTIONS: Mapping[str, Action] = {
             "settings": _SETTINGS,
             "columns": _option("--columns", _text),
             "rate_hz": _option("--rate-hz", _number),
+            "zero": _option("--zero", _text),
         },
         needs=("files", "new"),
     ),

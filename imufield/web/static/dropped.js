@@ -112,6 +112,7 @@ const unitFields = () => [
     ),
   ),
   make("label", {}, text("rate"), make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+  make("label", {}, text("zero"), make("input", { name: "zero", autocomplete: "off" })),
 ];
 
 /** @param {Bench} bench */
