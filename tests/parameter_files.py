@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature, unchanging
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 
 
 def on_purpose(text: str) -> str:
@@ -31,7 +31,7 @@ def over_temperature(calibration: Calibration, drift_m_s2_per_degc: float) -> Ca
         reference_degc=20.0,
         range_degc=(0.0, 40.0),
         bias=Polynomials(np.full((1, 3), drift_m_s2_per_degc), np.zeros((3, 1, 1))),
-        scale=unchanging(),
+        scale=Polynomials(np.zeros((0, 3)), np.zeros((3, 0, 0))),  # No polynomial: it stays as it is.
         hysteresis=np.full(3, np.nan),
         scale_separated=True,
     )

@@ -13,6 +13,7 @@ import numpy as np
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.commands.options.acquire_commands import DemoOptions
 from imufield.commands.terminal.emulated import capture, emulator
 from imufield.commands.terminal.guided import Captured
@@ -154,8 +155,7 @@ def _print_commands(folders: Sequence[Path]) -> None:
 
 
 def _directions() -> FloatArray:
-    up = np.random.default_rng(0).standard_normal((POSES, 3))
-    return np.asarray(up / np.linalg.norm(up, axis=1)[:, None])
+    return unit_vectors(np.random.default_rng(0).standard_normal((POSES, 3)))
 
 
 def _left_mg(parameters: Parameters, truth: dict[str, Any], temperature_degc: float) -> float:
@@ -196,12 +196,10 @@ def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatAr
     # With what the slow drift added on average.
     given = replace(given, bias_m_s2=given.bias_m_s2 + np.array(truth["accelerometer"]["mean_drift_m_s2"]))
     true, _ = intrinsic(to_vector(given))
-    found = calibration.intrinsic
-    values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
-    sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])
+    found, sigma = calibration.intrinsic.values, calibration.intrinsic.sigmas
     # A parameter that was not fitted has no sigma, and no error to speak of.
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(sigma > 0, (values - true) / sigma, np.nan)
+        return np.where(sigma > 0, (found - true) / sigma, np.nan)
 
 
 def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int) -> bool:

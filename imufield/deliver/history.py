@@ -300,12 +300,12 @@ def read_history(folder: Path, serial_number: str | None = None, workers: int = 
         raise ParameterFileError(sentence(key, folder=str(folder)), Reason.FOREIGN)
     states, unread = _states(folder)
 
-    def look(index: Index) -> tuple[list[Entry], dict[str, str], int, int]:
+    def read_index(index: Index) -> tuple[list[Entry], dict[str, str], int, int]:
         read = _read_new(index, folder, states, workers)
         return [Entry.from_text(text) for text in index.entries(serial_number)], index.faults(), len(index), read
 
     # An index of nothing is not left behind.
-    entries, faulty, found, read = with_index(folder, look) if states else ([], {}, 0, 0)
+    entries, faulty, found, read = with_index(folder, read_index) if states else ([], {}, 0, 0)
     faults = (*(faulty[name] for name in sorted(faulty, key=lambda name: name.split("/"))), *unread)
     if not entries:
         key = "history.none" if serial_number is None else "history.none_of_serial"

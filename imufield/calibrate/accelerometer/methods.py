@@ -192,11 +192,10 @@ def solve_with(
     )
     if not found.converged:
         quality = quality.lowered("poor", sentence("methods.not_converged", method=method, message=found.message))
-    sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
     return replace(
         calibration,
         accelerometer=replace(from_vector(vector, used.raw_zero, axes), higher=used.higher),
-        intrinsic=make_intrinsic(intrinsic(vector, axes)[0], sigma),
+        intrinsic=make_intrinsic(intrinsic(vector, axes)[0], old.sigmas),
         positions=replace(calibration.positions, residual_m_s2=residual),
         solver=summarise(found, method, seed),
         quality=quality,

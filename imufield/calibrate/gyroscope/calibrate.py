@@ -25,7 +25,7 @@ from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, ChosenModel, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, arranged_inverse, rough_inverse
-from imufield.calibrate.gyroscope.observability import Observability, observe, told_by
+from imufield.calibrate.gyroscope.observability import Observability, observe, without_contradicted
 from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
@@ -49,6 +49,7 @@ from imufield.calibrate.gyroscope.stills_alone import (
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.coverage_factors import student_quantile
 from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.calibrate.model.uncertainty import block_diagonal, rms
 from imufield.dataclass import replace
 from imufield.earth import EARTH_RATE_RAD_S
@@ -111,7 +112,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
-    while (told := told_by(chosen.fit, None if given.turntable else estimate, observability)) != observability:
+    while (told := without_contradicted(chosen.fit, None if given.turntable else estimate, observability)) != observability:
         observability, start = told, _with_hidden(start, preset, told)
         chosen = choose_model(data, start, observability, model)
     of_latitude, is_caution = _latitude_told(given, data, chosen)
@@ -202,7 +203,7 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
     preset, observations = given.preset, given.observations
     A = given.preset_inverse()
     if A is not None and given.latitude_deg is not None and sees_earth(observations.gyroscope_covariance_raw, A):
-        up = given.force_m_s2 / np.linalg.norm(given.force_m_s2, axis=1)[:, None]
+        up = unit_vectors(given.force_m_s2)
         middle_s = observations.start_s + observations.duration_s / 2
         rate_raw = observations.gyroscope_mean_raw - given.rest_raw
         covariance = block_diagonal(observations.gyroscope_unrounded_covariance) + observations.gyroscope_rounding()

@@ -49,7 +49,7 @@ from imufield.calibrate.gyroscope.residuals import GyroscopeData
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_95, f_tail
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
-from imufield.calibrate.model.uncertainty import block_diagonal, told_apart
+from imufield.calibrate.model.uncertainty import block_diagonal, distinguishing_digits
 from imufield.calibrate.moves.moves import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
@@ -98,7 +98,7 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
     values = full.p[full.free[places]]
     F = float(values @ np.linalg.pinv(full.covariance[np.ix_(places, places)], hermitian=True) @ values) / len(places)
     F, limit = max(F, np.finfo(float).tiny), f_limit_95(len(places), full.degrees_of_freedom)
-    told = dict(zip(("F", "limit"), told_apart(F, limit), strict=True))
+    told = dict(zip(("F", "limit"), distinguishing_digits(F, limit), strict=True))
     if limit < F:
         full = full if data.latitude_deg is None else fit_jointly(data, full.p, free, full.scatter)
         return ChosenModel(full, True, nothing, sentence("model_choice.kept", **told))

@@ -93,7 +93,7 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     return found
 
 
-def told_by(fit: JointFit, estimate: FloatArray | None, observability: Observability) -> Observability:
+def without_contradicted(fit: JointFit, estimate: FloatArray | None, observability: Observability) -> Observability:
     """Return what is left of the observability behind a fit.
 
     Parameters

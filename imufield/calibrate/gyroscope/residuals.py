@@ -37,6 +37,7 @@ from imufield.calibrate.model.rotation import (
     multiply,
     one_rotation_matrix,
     skew,
+    unit_vectors,
 )
 from imufield.calibrate.moves.moves import Moves
 from imufield.dataclass import dataclass, field, replace
@@ -148,7 +149,7 @@ class GyroscopeData:
     @property
     def up(self) -> FloatArray:
         """Unit vectors, shape (s, 3)."""
-        return np.asarray(self.force / np.linalg.norm(self.force, axis=1)[:, None])
+        return unit_vectors(self.force)
 
     @property
     def chains(self) -> int:
@@ -306,6 +307,5 @@ def carry_azimuth(
 def _tangent(up: FloatArray) -> FloatArray:
     """Return two unit vectors at right angles to each of the unit vectors, shape (m, 3) -> (m, 2, 3)."""
     other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
-    first = cross(up, other)
-    first /= np.linalg.norm(first, axis=1)[:, None]
+    first = unit_vectors(cross(up, other))
     return np.stack([first, cross(up, first)], axis=1)

@@ -40,6 +40,7 @@ from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatte
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
@@ -89,8 +90,7 @@ def static_bias(
         key = "stills_alone.bias_no_attitude"
     else:
         key = "stills_alone.bias"
-        unit = up / np.linalg.norm(up, axis=1)[:, None]
-        earth_known = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg)) * unit
+        earth_known = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg)) * unit_vectors(up)
     if scale is None:
         key = "stills_alone.bias_no_scale"
     gain = np.nan_to_num(K)
@@ -112,9 +112,9 @@ def unknown_earth_rate(up: FloatArray, latitude_deg: float | None) -> FloatArray
     """Return 1 sigma of what is not known of the mean of the Earth's rate over m stills, rad/s, shape (3,)."""
     if latitude_deg is None or not np.isfinite(up).all():
         return np.full(3, EARTH_RATE_RAD_S / math.sqrt(3))
-    unit = up / np.linalg.norm(up, axis=1)[:, None]
     # The horizontal part at an unknown heading.
-    return np.asarray(EARTH_RATE_RAD_S * math.cos(math.radians(latitude_deg)) * np.sqrt(np.mean((1 - unit**2) / 2, axis=0)))
+    shares = np.sqrt(np.mean((1 - unit_vectors(up) ** 2) / 2, axis=0))
+    return np.asarray(EARTH_RATE_RAD_S * math.cos(math.radians(latitude_deg)) * shares)
 
 
 StaticFree = Literal["bias", "all"]

@@ -38,7 +38,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
-from imufield.calibrate.model.rotation import cross
+from imufield.calibrate.model.rotation import cross, unit_vectors
 from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
@@ -131,7 +131,7 @@ def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | N
     if gauge == "preset":
         T = alignment_matrix(vector)
         length = np.linalg.norm(T, axis=1)
-        u, p = T / length[:, None], _unit_rows(_required(preset))
+        u, p = T / length[:, None], unit_vectors(alignment_matrix(_required(preset)))
         i, j = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
         du = (np.eye(3)[j] - u[i] * u[i, j, None]) / length[i, None]
         C[:, MISALIGNMENT] = cross(du, p[i]).T
@@ -150,18 +150,13 @@ def _required(preset: FloatArray | None) -> FloatArray:
     return preset
 
 
-def _unit_rows(vector: FloatArray) -> FloatArray:
-    T = alignment_matrix(vector)
-    return np.asarray(T / np.linalg.norm(T, axis=1)[:, None])
-
-
 def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) -> FloatArray:
-    unit = _unit_rows(vector)
+    unit = unit_vectors(alignment_matrix(vector))
     volume = float(np.linalg.det(unit))
     if not volume > _LEAST_VOLUME:
         raise CalibrationError(sentence("gauge.left_handed", volume=volume, least_volume=_LEAST_VOLUME), Reason.HANDEDNESS)
     if gauge == "preset":
-        return _kabsch(unit, _unit_rows(_required(preset)))
+        return _kabsch(unit, unit_vectors(alignment_matrix(_required(preset))))
     if gauge == "lower":
         return _triangular_frame(unit)
     if gauge == "upper":

@@ -88,6 +88,16 @@ class Intrinsic:
     angle_sigma_rad: FloatArray
     quadratic_sigma: FloatArray
 
+    @property
+    def values(self) -> FloatArray:
+        """Return the 12 numbers in this order, shape (12,)."""
+        return np.concatenate([self.scale, self.bias_raw, self.angle_rad, self.quadratic])
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """1 sigma of each, shape (12,)."""
+        return np.concatenate([self.scale_sigma, self.bias_raw_sigma, self.angle_sigma_rad, self.quadratic_sigma])
+
 
 @dataclass(frozen=True, slots=True)
 class GyroscopeParameters:

@@ -129,7 +129,12 @@ def from_matrix(rotation: FloatArray) -> FloatArray:
     table = np.stack([w2, x, y, z, x, x2, xy, xz, y, xy, y2, yz, z, xz, yz, z2], axis=-1).reshape(*trace.shape, 4, 4)
     best = np.argmax(squares, axis=-1)[..., None, None]
     row = np.take_along_axis(table, np.broadcast_to(best, (*trace.shape, 1, 4)), axis=-2)[..., 0, :]
-    return np.asarray(row / np.linalg.norm(row, axis=-1, keepdims=True))
+    return unit_vectors(row)
+
+
+def unit_vectors(vectors: FloatArray) -> FloatArray:
+    """Return the directions of vectors, shape (..., n)."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:

@@ -52,11 +52,6 @@ def powers(d_degc: FloatArray, order: int) -> FloatArray:
     return np.asarray(np.asarray(d_degc, dtype=np.float64)[:, None] ** np.arange(1, order + 1))
 
 
-def unchanging() -> Polynomials:
-    """Return the polynomials of a quantity that stays as it is."""
-    return Polynomials(np.zeros((0, 3)), np.zeros((3, 0, 0)))
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NewDay:
     """What bias and scale at a temperature are known to on a day that was not measured, as sessions on several days show it.

@@ -125,7 +125,7 @@ def estimated_share(covariance: FloatArray, prior_root: FloatArray) -> float:
     return float(np.mean(1 - prior[has_any] / variance[has_any])) if has_any.any() else 1.0
 
 
-def told_apart(value: float, limit: float) -> tuple[str, str]:
+def distinguishing_digits(value: float, limit: float) -> tuple[str, str]:
     """Return both with as many decimals, at least one and at most four, as it takes to see which is larger."""
     texts = [(f"{value:.{places}f}", f"{limit:.{places}f}") for places in range(1, 5)]
     return next((pair for pair in texts if pair[0] != pair[1]), texts[-1])

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import acceleration_unit, decimals
@@ -74,8 +75,7 @@ def position_cards(parameters: Parameters) -> tuple[list[PositionCard], str]:
 
 def directions(parameters: Parameters, raw: FloatArray) -> FloatArray:
     """Return the measured directions of up in the body frame from mean outputs, both of shape (m, 3)."""
-    force = parameters.apply_accelerometer(raw)
-    return np.asarray(force / np.linalg.norm(force, axis=1)[:, None])
+    return unit_vectors(parameters.apply_accelerometer(raw))
 
 
 def short_name(name: str) -> str:

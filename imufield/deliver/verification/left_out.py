@@ -37,6 +37,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     without_drift,
 )
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.dataclass import dataclass, replace
@@ -369,8 +370,7 @@ def _hidden_axes(parameters: AccelerometerParameters, observations: Observations
 
 
 def _up(calibration: Calibration, observations: Observations) -> FloatArray:
-    a = _derivatives(calibration.accelerometer, observations).a
-    return np.asarray(a / np.linalg.norm(a, axis=1)[:, None])
+    return unit_vectors(_derivatives(calibration.accelerometer, observations).a)
 
 
 def _residual_of(parameters: AccelerometerParameters | None, observations: Observations, gravity: Gravity) -> FloatArray:

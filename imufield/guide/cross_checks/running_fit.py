@@ -24,6 +24,7 @@ from imufield.calibrate.model.coverage_factors import student_quantile
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.calibrate.model.uncertainty import gravity_sensitivity
 from imufield.dataclass import dataclass, replace
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
@@ -260,7 +261,7 @@ def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity: Gr
         expected_m_s2=expected,
         sigma_m_s2=_sigma(residual, jacobian, expected, prior),
         jacobian=jacobian,
-        up=up / np.linalg.norm(up, axis=1, keepdims=True),
+        up=unit_vectors(up),
         prior_sigma=prior,
         gravity_sigma=np.abs(gravity_sensitivity(vector, gravity_m_s2)[list(LOWER_GAUGE_COLUMNS)]) * gravity.sigma_m_s2,
         rank=observability.rank,

@@ -16,6 +16,7 @@ from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
@@ -66,10 +67,9 @@ def answer_of(calibration: Calibration, truth: AccelerometerParameters) -> Answe
     """Compare a calibration with the truth, by numbers that no turn of the frame changes."""
     true = intrinsic(to_vector(truth), truth.quadratic_axes)[0]
     own, factor = calibration.intrinsic, calibration.quality.student_factor_95
-    error = np.concatenate([own.scale, own.bias_raw, own.angle_rad, own.quadratic]) - true
-    sigma = np.concatenate([own.scale_sigma, own.bias_raw_sigma, own.angle_sigma_rad, own.quadratic_sigma])
+    error = own.values - true
     return Answer(
-        over_limit=error / (factor * sigma),
+        over_limit=error / (factor * own.sigmas),
         four_sigma=student_factor(degrees_of_freedom(factor), chance=_FOUR_SIGMA) / factor,
         bias_error_mg=float(np.abs(error[3:6] / truth.scale).max()) / MILLI_G_M_S2,
         calibration=calibration,
@@ -114,7 +114,7 @@ class MeanSession:
         error = drift + np.hypot(noise, self.scatter_m_s2) * rng.standard_normal((m, 3))
         # Placed within a few degrees.
         tilted = up + _PLACEMENT_RAD * rng.standard_normal((m, 3))
-        force, touched = effects.touch(self.gravity_m_s2 * tilted / np.linalg.norm(tilted, axis=1)[:, None], rng)
+        force, touched = effects.touch(self.gravity_m_s2 * unit_vectors(tilted), rng)
         unknown = np.full((m, 3), np.nan)
         observations = Observations(
             name=names,

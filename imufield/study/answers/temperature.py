@@ -12,6 +12,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.rotation import unit_vectors
 from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_orders, fit_temperature
@@ -108,7 +109,7 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
     }
     end_degc = float(rng.choice([at_degc[0], at_degc[2]]))
     up = rng.standard_normal((_POSES, 3))
-    force = KNOWN.gravity_m_s2 * up / np.linalg.norm(up, axis=1)[:, None]
+    force = KNOWN.gravity_m_s2 * unit_vectors(up)
     raw = predict(day(end_degc), force)
     return {name: _rms_mg(base, temperature, raw, end_degc, force=force) for name, temperature in ways.items()}
 
@@ -161,7 +162,7 @@ def _ramp(
     """Return a ramp in one pose over the whole range."""
     at_degc = REFERENCE_DEGC + np.linspace(-AWAY_DEGC, AWAY_DEGC, 41)
     up = rng.standard_normal(3)
-    pose = KNOWN.gravity_m_s2 * up / np.linalg.norm(up)
+    pose = KNOWN.gravity_m_s2 * unit_vectors(up)
     raw = np.vstack([predict(at_temperature(truth, over, float(degc)), pose) for degc in at_degc])
     sigma = _INDUSTRIAL.accelerometer.bias_instability
     output = raw / base.scale + sigma * rng.standard_normal(raw.shape)

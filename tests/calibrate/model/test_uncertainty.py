@@ -14,10 +14,10 @@ from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.uncertainty import (
     between_position_sigma,
     bounded_cross_covariance,
+    distinguishing_digits,
     estimated_share,
     gravity_sensitivity,
     known_covariance,
-    told_apart,
     within_variance,
 )
 
@@ -98,9 +98,9 @@ def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:
 
 
 def test_two_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:
-    assert told_apart(3.14, 2.01) == ("3.1", "2.0")
-    assert told_apart(2.03, 2.01) == ("2.03", "2.01")
-    assert told_apart(2.0, 2.0) == ("2.0000", "2.0000")
+    assert distinguishing_digits(3.14, 2.01) == ("3.1", "2.0")
+    assert distinguishing_digits(2.03, 2.01) == ("2.03", "2.01")
+    assert distinguishing_digits(2.0, 2.0) == ("2.0000", "2.0000")
 
 
 def test_what_is_known_beforehand_has_no_degrees_of_freedom_to_lose() -> None:
