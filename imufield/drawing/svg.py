@@ -110,6 +110,13 @@ class Picture:
         dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
         self.parts.append(f'<path d="{"".join(path)}" fill="none" stroke="{color}" stroke-width="{width:g}"{dashed}/>')
 
+    def area(self, x: FloatArray, low: FloatArray, high: FloatArray, *, face: str, opacity: float) -> None:
+        """Fill the area between two lines, as far as both are known."""
+        known = np.isfinite(low + high)
+        x, y = np.concatenate([x[known], x[known][::-1]]), np.concatenate([low[known], high[known][::-1]])
+        points = " ".join(f"{one:.2f},{other:.2f}" for one, other in zip(x.tolist(), y.tolist(), strict=True))
+        self.parts.append(f'<polygon points="{points}" fill="{face}" fill-opacity="{opacity:g}"/>')
+
     def mark(self, x: float, y: float, radius: float, *, face: str, edge: str, shape: str = "o", width: float = 1.0) -> None:
         """Put a circle ``o``, a square ``s`` or a cross ``x`` at a point."""
         if shape == "o":
@@ -159,10 +166,20 @@ class Axes:
     top: float = _LEGEND_PT
     bottom: float = _BOTTOM_PT
     """Distances of the frame from the edges of the picture."""
+    side: tuple[float, float] = (0.0, 1.0)
+    """From where to where it reaches across the picture."""
 
     @property
     def _floor(self) -> float:
         return self.picture.height - self.bottom
+
+    @property
+    def _left(self) -> float:
+        return self.side[0] * self.picture.width + _LEFT_PT
+
+    @property
+    def _right(self) -> float:
+        return self.side[1] * self.picture.width - _RIGHT_PT
 
     def place(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return points of the picture."""
@@ -170,7 +187,7 @@ class Axes:
 
     def across(self, x: FloatArray | float) -> FloatArray:
         """Return where numbers stand along the picture."""
-        return _LEFT_PT + (self.picture.width - _LEFT_PT - _RIGHT_PT) * self.x.share(x)
+        return self._left + (self._right - self._left) * self.x.share(x)
 
     def down(self, y: FloatArray | float) -> FloatArray:
         """Return how far numbers are from the top of the picture."""
@@ -178,8 +195,8 @@ class Axes:
 
     def frame(self, x_label: str, y_label: str, *, names: Sequence[str] | None = None, with_numbers: bool = True) -> None:
         """Draw grid, axes and their numbers; ``names`` stand for the numbers 0, 1, ... of the horizontal one."""
-        right = self.picture.width - _RIGHT_PT
-        ticks = self.x.ticks(_MOST_ACROSS) if names is None else enumerate(names)
+        left, right = self._left, self._right
+        ticks = self.x.ticks(round(_MOST_ACROSS * (self.side[1] - self.side[0]))) if names is None else enumerate(names)
         is_turned = names is not None and len(names) > _MOST_LEVEL_NAMES
         for number, words in ticks:
             at = float(self.across(number))
@@ -191,20 +208,24 @@ class Axes:
                 self.picture.text(at, self._floor + below, words, size=size, anchor=anchor, turned=is_turned)
         for number, words in self.y.ticks(_MOST_UPWARDS):
             at = float(self.down(number))
-            self._rule(_LEFT_PT, at, right, at, color=_GRID)
-            self._rule(_LEFT_PT - _TICK_PT, at, _LEFT_PT, at, color=INK)
-            self.picture.text(_LEFT_PT - 5, at, words, anchor="end")
-        self._rule(_LEFT_PT, self.top, _LEFT_PT, self._floor, color=INK)
-        self._rule(_LEFT_PT, self._floor, right, self._floor, color=INK)
-        self.picture.text(FONT_PT / 2 + 1, (self.top + self._floor) / 2, y_label, turned=True)
-        self.picture.text((_LEFT_PT + right) / 2, self.picture.height - FONT_PT / 2 - 2, x_label)
+            self._rule(left, at, right, at, color=_GRID)
+            self._rule(left - _TICK_PT, at, left, at, color=INK)
+            self.picture.text(left - 5, at, words, anchor="end")
+        self._rule(left, self.top, left, self._floor, color=INK)
+        self._rule(left, self._floor, right, self._floor, color=INK)
+        self.picture.text(left - _LEFT_PT + FONT_PT / 2 + 1, (self.top + self._floor) / 2, y_label, turned=True)
+        self.picture.text((left + right) / 2, self.picture.height - FONT_PT / 2 - 2, x_label)
 
     def _rule(self, x: float, y: float, to_x: float, to_y: float, *, color: str) -> None:
         self.picture.line(np.array([x, to_x]), np.array([y, to_y]), color=color, width=0.6)
 
-    def curve(self, x: FloatArray, y: FloatArray, *, color: str, width: float = 1.3) -> None:
+    def curve(self, x: FloatArray, y: FloatArray, *, color: str, width: float = 1.3, dashes: str = "") -> None:
         """Join points."""
-        self.picture.line(*self.place(x, y), color=color, width=width)
+        self.picture.line(*self.place(x, y), color=color, width=width, dashes=dashes)
+
+    def band(self, x: FloatArray, low: FloatArray, high: FloatArray, *, color: str, opacity: float = 0.12) -> None:
+        """Shade the area between two curves."""
+        self.picture.area(self.across(x), self.down(low), self.down(high), face=color, opacity=opacity)
 
     def stems(self, x: FloatArray, low: FloatArray, high: FloatArray) -> None:
         """Draw upright lines."""
@@ -234,7 +255,7 @@ class Axes:
 
     def legend(self, entries: Iterable[tuple[str, str, str]]) -> None:
         """Say above the frame what is what: words, color, and a shape of ``Picture.mark``, "bar" or dashes."""
-        at, y = _LEFT_PT + 8.0, self.top - _LEGEND_PT / 2
+        at, y = self._left + 8.0, self.top - _LEGEND_PT / 2
         for words, color, look in entries:
             if look in ("o", "s", "x"):
                 self.picture.mark(at + 8, y, 2.4, face="white" if look == "s" else color, edge=color, shape=look)

@@ -53,7 +53,7 @@ def render_report(data: ReportData) -> str:
     Raises
     ------
     UsageError
-        If matplotlib or jinja2 is not installed.
+        If jinja2 is not installed.
     """
     gained = gain(data.parameters, data.preset)
     figures = list(_figures(data, gained))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,23 +15,22 @@ from imufield.deliver.report.gain import Gain
 from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
 from imufield.deliver.report.trace import Trace
-from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plot_style, to_svg
+from imufield.drawing.style import BLUE, GREY, INK, ORANGE
 from imufield.drawing.svg import FONT_PT, POINTS_PER_INCH, SMALL_PT, Axes, Picture, Scale, text_width
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes as MatplotlibAxes
-
 sentence = Sentences(__package__)
 
 _TALLEST_IN = 8.5  # With title and caption on one sheet.
+# Of each error, and the size of its unit.
 _LABELS = {
-    "latitude_deg": "latitude, deg",
-    "longitude_deg": "longitude, deg",
-    "north_velocity_m_s": "v north, m/s",
-    "east_velocity_m_s": "v east, m/s",
+    "latitude_deg": ("latitude, arcmin", 1 / 60),
+    "longitude_deg": ("longitude, arcmin", 1 / 60),
+    "north_velocity_m_s": ("v north, m/s", 1.0),
+    "east_velocity_m_s": ("v east, m/s", 1.0),
+    "position_nmi": ("position, nmi", 1.0),
 }
 LEAST_CORRELATION = 0.1
 """Weaker ones are not drawn: they change no sigma by more than half a per cent."""
@@ -41,6 +39,10 @@ _POINTS_PER_UNIT = 82.0  # Of the sphere map: its radius.
 _DOWN = np.array([1.0, -1.0])  # The map has y upwards, a picture downwards.
 _CELL_PT = 12.2  # Of a correlation: a line of names.
 _PANEL_FOOT_PT = 30.0  # Below the lowest of two panels.
+_ROW_PT = 118.0  # Height of one of several rows of panels.
+_ROW_GAP_PT = 4.0  # Above and below the frames in it.
+_NUMBERS_PT = 14.0  # Numbers of a horizontal axis.
+_LEGEND_ROOM_PT = 26.0  # Above a frame with a legend.
 # Just outside the unit circle of the map.
 _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
 _NAMED = 6  # Positions named on the sphere map, the largest residuals first.
@@ -251,23 +253,22 @@ def closure(moves: Closure) -> str:
 
 def over_temperature(curves: TemperatureCurves) -> str:
     """Draw how bias and scale of a triad change with temperature, what sessions found, and where a new day will be."""
-    with plot_style():
-        drawn = figure(2.6)
-        panels = drawn.subplots(1, 2)
-        for axes, quantity in zip(panels, (curves.bias, curves.scale), strict=True):
-            for axis, (name, style, mark, color) in enumerate(
-                zip(AXES, ("-", "--", ":"), "os^", (INK, BLUE, ORANGE), strict=True)
-            ):
-                change, half = quantity.change[:, axis], quantity.factor * quantity.sigma[:, axis]
-                axes.fill_between(curves.temperature_degc, change - half, change + half, color=color, alpha=0.12, linewidth=0)
-                axes.plot(curves.temperature_degc, change, style, color=color, label=name)
-                axes.plot(
-                    curves.sessions_degc, quantity.sessions[:, axis], mark, color=color, markerfacecolor="white", markersize=5
-                )
-            axes.axvline(curves.reference_degc, color=GREY, linewidth=0.8)
-            axes.set(xlabel="temperature, °C", ylabel=f"{quantity.quantity}, {quantity.unit}")
-        panels[0].legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
-        return to_svg(drawn, f"temperature-{curves.triad}")
+    drawn = Picture(2.6)
+    styles = list(zip(AXES, (INK, BLUE, ORANGE), ("", "6 3", "1.5 2"), "osx", strict=True))
+    for quantity, side in ((curves.bias, (0.0, 0.5)), (curves.scale, (0.5, 1.0))):
+        half = quantity.factor * quantity.sigma
+        reach = (quantity.change - half, quantity.change + half, quantity.change, quantity.sessions)
+        across = Scale.over(curves.temperature_degc, curves.sessions_degc)
+        axes = Axes(picture=drawn, x=across, y=Scale.over(*reach), side=side)
+        axes.frame("temperature, °C", f"{quantity.quantity}, {quantity.unit}")
+        axes.stems(np.array([curves.reference_degc]), np.array([axes.y.low]), np.array([axes.y.high]))
+        for axis, (_, color, dashes, shape) in enumerate(styles):
+            axes.band(curves.temperature_degc, reach[0][:, axis], reach[1][:, axis], color=color)
+            axes.curve(curves.temperature_degc, quantity.change[:, axis], color=color, dashes=dashes)
+            axes.marks(curves.sessions_degc, quantity.sessions[:, axis], shape, color, is_filled=False)
+        if quantity is curves.bias:
+            axes.legend([(name, color, dashes) for name, color, dashes, _ in styles])
+    return drawn.svg()
 
 
 def correlations(pairs: Correlations) -> str:
@@ -294,35 +295,35 @@ def correlations(pairs: Correlations) -> str:
 
 def navigation(document: Document) -> str:
     """Draw the errors of static navigation and the band they should be in."""
-    with plot_style():
-        drawn = figure(5.0)
-        grid = drawn.add_gridspec(3, 2)
-        forecast = document.get("forecast")
-        for number, quantity in enumerate(QUANTITIES):
-            axes = drawn.add_subplot(grid[number // 2, number % 2])
-            if forecast is not None:
-                _band(axes, forecast, _numbers(forecast["low"][quantity]), _numbers(forecast["high"][quantity]))
-            _curves(axes, document["drift"], quantity)
-            axes.set_ylabel(_LABELS[quantity])
-        axes = drawn.add_subplot(grid[2, :])
-        if forecast is not None:
-            most = _numbers(forecast["position_95_nmi"])
-            _band(axes, forecast, np.zeros_like(most), most)
-        _curves(axes, document["drift"], "position_nmi")
-        axes.set(ylabel="position, nmi", xlabel="hours")
-        axes.legend(loc="upper left", ncols=3)
-        return to_svg(drawn, "navigation")
-
-
-def _band(axes: MatplotlibAxes, forecast: Document, low: FloatArray, high: FloatArray) -> None:
-    hours = _numbers(forecast["time_s"]) / 3600
-    axes.fill_between(hours, low, high, facecolor="#e4edf6", edgecolor=GREY, hatch="////", linewidth=0.5, label="95 % forecast")
-
-
-def _curves(axes: MatplotlibAxes, drifts: Document, quantity: str) -> None:
+    drawn, forecast = Picture(5.4), document.get("forecast")
     # The set under test is the last: it gets the full line, and the one before it the broken.
-    for (name, drift), style, color in zip(reversed(drifts.items()), ("-", "--"), (INK, ORANGE), strict=False):
-        axes.plot(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]), style, color=color, label=name)
+    styles = list(zip(reversed(document["drift"].items()), ((INK, ""), (ORANGE, "6 3")), strict=False))
+    for number, quantity in enumerate((*QUANTITIES, "position_nmi")):
+        label, size = _LABELS[quantity]
+        is_last = quantity == "position_nmi"
+        curves = [(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]) / size, *look) for (_, drift), look in styles]
+        hours = low = high = np.empty(0)
+        if forecast is not None:
+            hours, high = _numbers(forecast["time_s"]) / 3600, _numbers(forecast["position_95_nmi"])
+            low = np.zeros_like(high)
+            if not is_last:
+                low, high = (_numbers(forecast[end][quantity]) / size for end in ("low", "high"))
+        axes = Axes(
+            picture=drawn,
+            x=Scale.over(hours, *(time_h for time_h, *_ in curves)),
+            y=Scale.over(low, high, *(values for _, values, *_ in curves)),
+            top=_ROW_PT * (number // 2) + (_LEGEND_ROOM_PT if is_last else _ROW_GAP_PT),
+            bottom=_PANEL_FOOT_PT if is_last else drawn.height - _ROW_PT * (number // 2 + 1) + _ROW_GAP_PT + _NUMBERS_PT,
+            side=(0.0, 1.0) if is_last else (number % 2 / 2, number % 2 / 2 + 0.5),
+        )
+        axes.frame("hours" if is_last else "", label)
+        if forecast is not None:
+            axes.band(hours, low, high, color=GREY)
+        for time_h, values, color, dashes in curves:
+            axes.curve(time_h, values, color=color, dashes=dashes)
+    bands = [] if forecast is None else [("95 % forecast", GREY, "bar")]
+    axes.legend([*((name, *look) for (name, _), look in styles), *bands])
+    return drawn.svg()
 
 
 def _numbers(values: list[float | None]) -> FloatArray:
