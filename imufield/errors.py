@@ -13,7 +13,7 @@
     +-- VerificationError     7  ``verify`` says FAIL
 
 Bad input raises one of these and nothing else; any other exception is a defect and keeps its traceback. Which one a failed
-write is, and what it means, is in ``files.write_error``.
+write is, and what it means, is in ``files.write_error``; which one a package that is not installed, in ``load_package``.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def load_package(module: str, what: str, extra: str, package: str = "") -> Modul
     package = package or module.partition(".")[0]
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise missing_package(what, package, extra) from error
     except (ImportError, OSError) as error:  # OSError: it is there, and a library that it loads is not.
-        raise missing_package(what, package, extra, error) from error
+        own = module.partition(".")[0]
+        is_absent = isinstance(error, ModuleNotFoundError) and (error.name or own).partition(".")[0] == own
+        raise missing_package(what, package, extra, "" if is_absent else error) from error

@@ -21,7 +21,9 @@ def test_one_that_is_missing_is_named_with_its_extra(monkeypatch: pytest.MonkeyP
         load_package("pyins.earth", "a sum", "nav", "python-ins")
 
 
-@pytest.mark.parametrize("error", ["ImportError('another NumPy')", "OSError('cannot load library')"])
+@pytest.mark.parametrize(
+    "error", ["ImportError('another NumPy')", "OSError('cannot load library')", "ModuleNotFoundError('its own', name='its')"]
+)
 def test_of_one_that_cannot_be_imported_the_cause_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: str) -> None:
     (tmp_path / "broken_package_of_a_test.py").write_text(f"raise {error}\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

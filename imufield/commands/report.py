@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import platform
 import shlex
 import sys
@@ -31,7 +30,7 @@ from imufield.deliver.report.data import (
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
 from imufield.deliver.report.trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
-from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError, missing_package
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError, load_package
 from imufield.files import real_path, refuse_overwriting, utf8_text
 from imufield.pipeline.solving import read_recording
 from imufield.progress import task
@@ -54,9 +53,8 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     ParameterFileError
         If the parameters are not of this session, or a page cannot be written.
     """
-    # Asked first: a missing package should not be found out after the replay. To import it takes a tenth of a second.
-    if importlib.util.find_spec("jinja2") is None:
-        raise missing_package("the report", "jinja2", "report")
+    # Asked first: a missing package should not be found out after the replay.
+    load_package("jinja2", "the report", "report")
     if options.pdf:
         load_weasyprint()
     data, folder = gather(options)

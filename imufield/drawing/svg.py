@@ -114,7 +114,7 @@ class Picture:
         """Fill the area between two lines, as far as both are known."""
         known = np.isfinite(low + high)
         x, y = np.concatenate([x[known], x[known][::-1]]), np.concatenate([low[known], high[known][::-1]])
-        points = " ".join(f"{one:.2f},{other:.2f}" for one, other in zip(x.tolist(), y.tolist(), strict=True))
+        points = " ".join(f"{across:.2f},{down:.2f}" for across, down in zip(x.tolist(), y.tolist(), strict=True))
         self.parts.append(f'<polygon points="{points}" fill="{face}" fill-opacity="{opacity:g}"/>')
 
     def mark(self, x: float, y: float, radius: float, *, face: str, edge: str, shape: str = "o", width: float = 1.0) -> None:

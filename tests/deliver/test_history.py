@@ -417,6 +417,10 @@ def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type
     drawn = plot_history(judge_history(read_history(tmp_path).instruments[0])).decode()
     assert drawn.startswith("<svg")
     assert all(f">{name}<" in drawn for name in ("bias x, mg", "scale z, ppm", "angle yz, mrad"))
+    # Limits of two calibrations alone are not known: none are drawn, and none explained.
+    assert "Shaded" not in drawn
+    write("c", "2026-10-01", session="c" * 64)
+    assert "Shaded" in plot_history(judge_history(read_history(tmp_path).instruments[0])).decode()
 
 
 def test_a_number_of_one_calibration_alone_is_not_drawn(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

@@ -45,13 +45,12 @@ _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
-_SAME_RESTARTS = (
-    4  # Of twice as many, the others with losses. One can be a restart of the instrument, or a sample that came early.
-)
+# Equal restarts, of the last twice as many: losses falsify some. A single one may be a restart of the instrument.
+_SAME_RESTARTS = 4
 _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
-_UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
+_UNEVEN = 0.25  # By which nearly all stamps are off at most: part of a step, or of the loss that a restart seems to be.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
-_MOST_STANDING = 0.25  # Share of the samples with the count of the one before: more than of frames that were sent twice.
+_MOST_STANDING = 0.25  # Share of samples that repeat the count before. Frames sent twice stay below it.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -119,11 +118,11 @@ class CanClock(Clock):
         if self._modulus != before and self._phase is not None:
             self._set_unit(self._phase)
 
-    def _narrow(self, seen: IntArray, steps_s: FloatArray, fresh: int) -> None:
-        """Shorten the modulus when ``_SAME_RESTARTS`` restarts, with none between that it explains, show the same shorter one.
+    def _narrow(self, seen: IntArray, steps_s: FloatArray, new_count: int) -> None:
+        """Shorten the modulus when ``_SAME_RESTARTS`` restarts show the same shorter one, and none between fits that in force.
 
-        How many samples were lost at a restart the time stamps show. Where they come in bursts, only a counter is believed that
-        says much more of its restarts than these hide.
+        Time stamps show how many samples were lost at a restart. Stamps in bursts hide that: then a restart counts only if the
+        present modulus implies a loss much longer than a burst.
         """
         steps, step = np.diff(seen), min(self._rule.counter_steps)
         regular = np.isin(steps, self._rule.counter_steps)
@@ -133,7 +132,7 @@ class CanClock(Clock):
         is_count = self._is_count(seen)
         falls = (steps[1:] < 0) & regular[:-1] & is_count[1:-1] & is_count[2:]
         for place in np.flatnonzero(falls).tolist():
-            if place + 2 < len(seen) - fresh:
+            if place + 2 < len(seen) - new_count:
                 continue
             last, first, passed = int(seen[place + 1]), int(seen[place + 2]), float(steps_s[place + 1]) / period_s
             forward = (first - last) % self._modulus / step
@@ -141,10 +140,11 @@ class CanClock(Clock):
             if forward <= shown or last - first < _LEAST_ROUND:
                 self._restarts.clear()
             elif passed < (1 + forward) / 2 and unevenness <= _UNEVEN * (forward - 1):
-                self._restarts.append((last - first + shown * step, first))
-                lengths, firsts = zip(*self._restarts, strict=True)
-                if lengths.count(lengths[-1]) == _SAME_RESTARTS:
-                    self._modulus, self._first = lengths[-1], min(firsts)
+                length = last - first + shown * step
+                self._restarts.append((length, first))
+                begins = [begin for known, begin in self._restarts if known == length]
+                if len(begins) == _SAME_RESTARTS:
+                    self._modulus, self._first = length, min(begins)
 
     def _widen(self, seen: IntArray) -> None:
         """Let a counter that goes on beyond its stated end go on to the next power of two.
@@ -209,8 +209,9 @@ class CanClock(Clock):
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
-            share, standing = sum(counts) / max(len(steps), 1), np.count_nonzero(steps == 0) / max(len(steps), 1)
-            if len(steps) >= LEARN_SAMPLES and (share < _LEAST_REGULAR or standing > _MOST_STANDING):
+            regular, standing = sum(counts), int(np.count_nonzero(steps == 0))
+            is_odd = regular < _LEAST_REGULAR * len(steps) or standing > _MOST_STANDING * len(steps)
+            if len(steps) >= LEARN_SAMPLES and is_odd:
                 # It stands, runs back, or counts something else.
                 self._modulus, self._last_counter = 0, None
                 self._statistics.count(NO_COUNT, len(block))

@@ -106,10 +106,10 @@ class Assembler:
         self._learned = self._kinds == 1
         self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
         # By counter: samples given out of those that begin with the first frames of the next block, which of these frames are
-        # used, and the count of the beginning before them.
+        # used, and count and time of the beginning before them.
         self._done = 0
         self._used = np.zeros(0, dtype=np.bool_)
-        self._group_before = -1
+        self._start_before = (-1, 0.0)
 
     @property
     def start(self) -> int:
@@ -220,7 +220,11 @@ class Assembler:
 
     def _by_counter(self, frames: SampleFrames, group: IntArray, last: bool) -> Groups:
         all_starts = np.flatnonzero(frames.kind == self._start)
-        starts = all_starts[np.diff(group[all_starts], prepend=self._group_before) != 0]
+        group_before, before_s = self._start_before
+        is_same = np.diff(group[all_starts], prepend=group_before) == 0
+        # A whole round of the counter may have been lost.
+        is_soon = np.diff(frames.time_s[all_starts], prepend=before_s) <= self._limit_s
+        starts = all_starts[~(is_same & is_soon)]
         rows = np.full((len(starts), self._kinds), NO_FRAME)
         rows[:, self._start] = starts
         for other in range(self._kinds):
@@ -237,7 +241,8 @@ class Assembler:
         used[fresh[fresh != NO_FRAME]] = True
         self._used = used[keep_from:]
         gone = int(np.searchsorted(all_starts, keep_from))
-        self._group_before = int(group[all_starts[gone - 1]]) if gone else self._group_before
+        if gone:
+            self._start_before = int(group[all_starts[gone - 1]]), float(frames.time_s[all_starts[gone - 1]])
         return Groups(fresh, int(np.count_nonzero(~used[:keep_from])), keep_from)
 
     def _same_count(self, places: IntArray, starts: IntArray, group: IntArray, time_s: FloatArray) -> IntArray:

@@ -71,10 +71,10 @@ _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 # Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
 FASTEST_RAD_S = 20.0
-_FEWEST_CODES = 1 << 10  # Of a converter: smaller numbers are in a unit.
-_MIDDLE = 1 / 16  # Of the range of all codes, to either side of its middle.
-_FEW = 1e-3  # Share of the outputs that are damage.
-_MANY = 0.05  # And one that is none.
+_LEAST_CODE = 512  # Of a converter's largest outputs: smaller numbers are in a unit.
+_END = 1 / 16  # Of the range of all codes, at either end and to either side of its middle.
+_MOST_DAMAGED = 1e-3  # Share of the outputs.
+_LEAST_AT_ENDS = 0.05  # Share of the outputs, at each end.
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,7 +410,7 @@ def choose_unit(
 
 
 def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
-    """Refuse two's complement that was read without its sign: outputs near both ends of its bits and never between.
+    """Refuse two's complement that was read without its sign: whole numbers near both ends of their bits, none between.
 
     Raises
     ------
@@ -418,20 +418,14 @@ def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
         With the bits, and what to subtract.
     """
     known = values[np.isfinite(values).all(axis=1)]
-    if not (len(known) and (known >= 0).all() and np.array_equal(known, np.rint(known)) and known.max() >= _FEWEST_CODES / 2):
+    if not (len(known) and (known >= 0).all() and np.array_equal(known, np.rint(known)) and known.max() >= _LEAST_CODE):
         return
     bits = int(known.max()).bit_length()
     share = known / (1 << bits)
-    if np.mean(np.abs(share - 0.5) < _MIDDLE) < _FEW and min(np.mean(share < 0.5), np.mean(share > 0.5)) > _MANY:
-        values_of = {
-            "path": path,
-            "quantity": quantity,
-            "bits": bits,
-            "top": (1 << bits) - 1,
-            "half": 1 << bits - 1,
-            "all": 1 << bits,
-        }
-        raise RecordingError(sentence("table_columns.unsigned", **values_of), Reason.BAD_DATA)
+    at_ends = min(np.mean(share < _END), np.mean(share > 1 - _END))
+    if np.mean(np.abs(share - 0.5) < _END) < _MOST_DAMAGED and at_ends > _LEAST_AT_ENDS:
+        sizes = {"bits": bits, "half": 1 << bits - 1, "codes": 1 << bits}
+        raise RecordingError(sentence("table_columns.unsigned", path=path, quantity=quantity, **sizes), Reason.BAD_DATA)
 
 
 def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_zero: bool) -> tuple[str, str, float]:

@@ -153,6 +153,9 @@ def read_tables(
             scale, _ = choose_time_scale(file.path, file.fields[TIME], unit, rate_hz)
             refuse_bursts(file.path, file.fields[TIME] * scale)
     table = _table(files, rate_hz, zero, settings)
+    # Who knows the raw zero knows the converter.
+    if zero is None:
+        _refuse_unsigned(files, table)
     table = _with_rate_of_increments(table, settings or {})
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
@@ -233,6 +236,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     _check_values([file.path], known)
     refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     head = _table([file], rate_hz, settings=_late_units(late, file.units))
+    _refuse_unsigned([file], head)
     # What the first piece decided holds for all, even where another would be guessed from a later one.
     decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in TRIADS if quantity not in file.units}
     if TIME in file.fields and TIME not in file.units:
@@ -313,7 +317,6 @@ def _table(
     # Rows have flags where a column of them is read, whatever a recording has.
     found, guessed, stated = {name: value for name, value in known.items() if name != STATUS}, {}, {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
-        refuse_unsigned(", ".join(dict.fromkeys(str(file.path) for file in files)), quantity, rows[:, columns])
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
             rows[:, columns] *= factor
@@ -345,6 +348,12 @@ def _table(
         counter=counter,
         begin_s=zero_s + float(rows[0, 0]),
     )
+
+
+def _refuse_unsigned(files: Sequence[File], table: ImportedTable) -> None:
+    paths = ", ".join(dict.fromkeys(str(file.path) for file in files))
+    for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
+        refuse_unsigned(paths, quantity, table.rows[:, columns])
 
 
 def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:

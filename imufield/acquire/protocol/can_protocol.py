@@ -228,8 +228,8 @@ class _Mapping:
         if not names:
             self.table.has(f"{part}_unit")
             return ""
-        if not len(names) == len({name.lstrip("-") for name in names}) == 3:
-            raise self.table.error(part, sentence("can_protocol.three_signals", names=names))
+        if len(names) != 3:
+            raise self.table.error(part, sentence("can_protocol.three_signals", count=len(names), names=names))
         units = {self._axis(part, place, name) for place, name in enumerate(names)}
         if len(units) > 1:
             raise self.table.error(part, sentence("can_protocol.mixed_units", units=" and ".join(sorted(units))))
@@ -244,6 +244,8 @@ class _Mapping:
             shown = f"{written!r}" if written else "no unit"
             wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known_units(part))
             raise self.table.error(f"{part}_unit" if given else part, wrong, Reason.UNITS)
+        if any(column.signal.name == signal.name and column.place // 3 == _PLACES[part] // 3 for column in kind.columns):
+            raise self.table.error(part, sentence("can_protocol.twice", name=signal.name))
         factor = -factor if name.startswith("-") else factor
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
         return unit

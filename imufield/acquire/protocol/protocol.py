@@ -167,7 +167,7 @@ def parse_protocol(
 ) -> Protocol:
     """Return the protocol written in ``text``, e.g. as kept in a recording; otherwise like ``load_protocol``.
 
-    ``options`` names the option that states a key, where the text was made of options.
+    ``options`` names the option that states each key, where the text was made from options.
     """
     source = Source(label, text, options or {})
     top = Table(values=source.parse(), path=(), source=source)

@@ -42,7 +42,7 @@ class Source:
     label: str
     text: str
     options: Mapping[str, str] = field(default_factory=dict)
-    """The option that states a key, where nobody wrote this text: it was made of options."""
+    """The option that states each key, where the text was made from options."""
 
     def error(self, path: Place, problem: str, reason: Reason | None = None) -> ProtocolError:
         """Return the error for the value at ``path``; its key and values are those of the problem."""

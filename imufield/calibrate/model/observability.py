@@ -115,7 +115,7 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     scale = parameter_scale(vector, gravity_m_s2)
     scaled = (derivatives.jacobian * scale)[:, columns]
     turns = (generators(vector) / scale[:, None])[columns]
-    # By the raw offset in place of the bias: what positions show does not hang on the raw zero that is stated.
+    # By the raw offset in place of the bias: what positions show does not depend on the raw zero that is stated.
     bias_by_scale = vector[BIAS] * scale[SCALE] / vector[SCALE]
     scaled[:, SCALE] -= bias_by_scale * scaled[:, BIAS]
     turns[BIAS] += bias_by_scale[:, None] * turns[SCALE]

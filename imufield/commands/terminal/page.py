@@ -57,7 +57,9 @@ def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None)
         import imufield.web.server  # noqa: F401  (what it needs is missed before anything else begins)
         from imufield.web.address import open_place
     except ImportError as error:
-        raise missing_package("the page", str(error.name), "web") from error
+        raise missing_package(
+            "the page", error.name or "websockets", "web", "" if isinstance(error, ModuleNotFoundError) else error
+        ) from error
     _shape()
     place = open_place(lan, port)
     stack.callback(place.listening.close)

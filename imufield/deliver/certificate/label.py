@@ -7,7 +7,7 @@ from itertools import groupby
 from xml.sax.saxutils import escape
 
 from imufield.deliver.certificate.certificate import Certificate, xml_text
-from imufield.errors import missing_package
+from imufield.errors import load_package
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
@@ -48,10 +48,7 @@ def label_svg(certificate: Certificate) -> str:
     UsageError
         If segno is not installed.
     """
-    try:
-        import segno
-    except ImportError as error:
-        raise missing_package("the label", "segno", "web") from error
+    segno = load_package("segno", "the label", "web")
     # Left to choose, segno takes Latin-1 or Shift JIS where they hold the text, and a reader has to guess.
     code = segno.make(label_text(certificate), error="m", micro=False, boost_error=False, encoding="utf-8")
     modules = code.symbol_size(scale=1, border=_QUIET)[0]

@@ -28,9 +28,9 @@ SECOND_S = 1.0
 MOVED_RATE_RAD_S = np.radians(0.3)  # 70 times the Earth's rate, and far below what a hand does.
 MOVED_FORCE_M_S2 = 0.05
 """Changes above these, and above eight times the noise, are no drift of an instrument at rest."""
-# Noise of one second that no instrument exceeds at rest, and every hand: 2 mg and 0.1 deg/s in a bandwidth of 1 Hz.
-_MOST_FORCE_NOISE_M_S2 = 0.02
-_MOST_RATE_NOISE_RAD_S = np.radians(0.1)
+# Noise of one-second means that no instrument at rest exceeds and every hand does.
+_MOST_FORCE_NOISE_M_S2 = 0.02  # 2 mg: the poorest MEMS have 0.5 mg.
+_MOST_RATE_NOISE_RAD_S = np.radians(0.1)  # The poorest MEMS have 0.03 deg/s.
 _MOVED_SIGMAS = 8.0  # Of 18,000 seconds with six axes not one passes it by chance.
 _FORCE_LAG = 10  # Seconds over which the specific force is compared with itself: temperature is slower, a hand is faster.
 _SHORTEST_FOR_FLICKER = 600  # Seconds: below, there is nothing but white noise to be seen.

@@ -123,9 +123,9 @@ class StaticNavigation:
         if self.stopped is not None:
             return
         samples = self._temperature.fill(samples)
-        turns = np.isfinite(samples.gyroscope).all(axis=1)
-        self._has_gyroscope |= bool(turns.any())
-        usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & turns
+        has_rates = np.isfinite(samples.gyroscope).all(axis=1)
+        self._has_gyroscope |= bool(has_rates.any())
+        usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & has_rates
         self._counts += (len(samples), len(samples) - int(usable.sum()))
         kept = samples if usable.all() else samples[usable]
         if not len(kept):

@@ -25,7 +25,7 @@ from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.errors import load_package, missing_package
+from imufield.errors import load_package
 from imufield.sentences import Sentences, folded, printable, three_digits
 
 sentence = Sentences(__package__)
@@ -89,10 +89,7 @@ def load_weasyprint() -> ModuleType:
 
 def render(template: str, values: Document, package: str = "imufield.deliver.report") -> str:
     """Return a template of a package, which may include those of the report, filled in; raises as ``render_report``."""
-    try:
-        import jinja2
-    except ImportError as error:
-        raise missing_package("a page", "jinja2", "report") from error
+    jinja2 = load_package("jinja2", "a page", "report")
     # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, no HTML, and in one order.
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(name) for name in (package, "imufield.deliver.report")]),

@@ -301,7 +301,7 @@ def navigation(document: Document) -> str:
     for number, quantity in enumerate((*QUANTITIES, "position_nmi")):
         label, size = _LABELS[quantity]
         is_last = quantity == "position_nmi"
-        curves = [(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]) / size, *look) for (_, drift), look in styles]
+        curves = [(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]) / size, *style) for (_, drift), style in styles]
         hours = low = high = np.empty(0)
         if forecast is not None:
             hours, high = _numbers(forecast["time_s"]) / 3600, _numbers(forecast["position_95_nmi"])
@@ -322,7 +322,7 @@ def navigation(document: Document) -> str:
         for time_h, values, color, dashes in curves:
             axes.curve(time_h, values, color=color, dashes=dashes)
     bands = [] if forecast is None else [("95 % forecast", GREY, "bar")]
-    axes.legend([*((name, *look) for (name, _), look in styles), *bands])
+    axes.legend([*((name, *style) for (name, _), style in styles), *bands])
     return drawn.svg()
 
 

@@ -72,8 +72,8 @@ def examine(hold: HoldUnderTest) -> Refusal | None:
 def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
     hand = hold.hand_mean
     yield _check_flags(hold)
-    # A force of zero has no direction that could shift or drift.
-    if not np.any(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))):
+    # Then nothing could shift or drift.
+    if hold.scale.is_zero(hold.cells.mean[:, :3].mean(axis=0)):
         yield refusals.GRAVITY.refusal(0.0, _OFFSET_SHARE * STANDARD_GRAVITY_M_S2)
     if hand is not None:
         # Cutting a bump out would let the sway through.

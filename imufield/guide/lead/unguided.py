@@ -145,7 +145,7 @@ class StillIntervalFinder:
             return CalibrationError(FROZEN.refusal(FLOOR_S, 0.0).words, Reason.TOO_FEW)
         if self.detector.has_waited and (axes := check_while_waiting(self.detector)).turns_ratio != 1.0:
             return CalibrationError(axes.words, Reason.UNITS)
-        if self.detector.has_waited and not np.any(self.detector.waited().mean[:, :3] - self.detector.scale.raw_zero):
+        if self.detector.has_waited and self.detector.scale.is_zero(self.detector.waited().mean[:, :3].mean(axis=0)):
             return CalibrationError(sentence("unguided.zero"), Reason.TOO_FEW)
         never = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
         return CalibrationError(never, Reason.TOO_FEW)

@@ -128,7 +128,7 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
         return False
     floor = measure_floor(cells)
     # A force of zero is that of no rest: it would tell neither a scale nor which side is up.
-    if not np.any(floor.mean[:3] - scale.raw_zero):
+    if scale.is_zero(floor.mean[:3]):
         return False
     limits = scale.learn(floor.mean[:3]).per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
     plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)

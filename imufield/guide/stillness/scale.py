@@ -57,6 +57,10 @@ class RoughScale:
         norm = float(np.linalg.norm(mean_raw - self.raw_zero))
         return replace(self, accelerometer=norm / STANDARD_GRAVITY_M_S2, learned=True) if norm > 0 else self
 
+    def is_zero(self, mean_raw: FloatArray) -> bool:
+        """Whether a mean, shape (3,), is no force at all, which has no direction: a dead accelerometer, or free fall."""
+        return not np.any(mean_raw - self.raw_zero)
+
     def specific_force(self, mean_raw: FloatArray) -> FloatArray:
         """Return raw accelerometer rates, shape (..., 3), as rough m/s^2; the scale must be known."""
         if self.accelerometer is None:

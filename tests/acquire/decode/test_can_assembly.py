@@ -171,3 +171,12 @@ def test_by_counter_copies_make_no_sample_and_all_else_is_used(pattern: tuple[in
     found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
     assert found == [[number, number] for number in range(300)]
     assert _step.left_out == len(frames) - 600
+
+
+@pytest.mark.parametrize("size", [1, 25, 1000])
+def test_by_counter_a_lost_round_is_no_copy(size: int) -> None:
+    frames = [frame for frame in bus(300) if not 100 <= frame[2] < 115]
+    rule = AssemblyRule(starts_with=0, limit_s=0.015, by_counter=True)
+    # The sample behind the gap has the count of the one before it.
+    found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
+    assert found == [[number, number] for kind, _, number in frames if kind == 0]

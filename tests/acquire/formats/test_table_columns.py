@@ -370,7 +370,8 @@ def test_twos_complement_without_its_sign_is_named(tmp_path: Path, bits: int, tr
     sizes = {"accelerometer": up / np.linalg.norm(up, axis=1)[:, None] / 4, "gyroscope": rng.normal(0, 0.05, (500, 3))}
     codes = np.rint({name: size * (1 << bits) for name, size in sizes.items()}[triad])
     others = np.full((500, 3), 5.7)
-    for values in (codes, codes + (1 << bits - 1)):  # With its sign, and about mid-scale.
+    # With its sign, about mid-scale, and of a sensor whose outputs keep off the middle: 1650 mV at 0 g, 800 mV/g.
+    for values in (codes, codes + (1 << bits - 1), np.rint(1650 + 800 * np.eye(3)[rng.integers(0, 3, 500)])):
         shown = [values, others] if triad == "accelerometer" else [others, values]
         read_tables([write(tmp_path, text_of(np.arange(500) / 100, *shown))])
     lost = codes % (1 << bits)

@@ -1,10 +1,10 @@
-"""What is said of settings that nobody gave."""
+"""What is said of an instrument, and of settings that nobody gave."""
 
 from __future__ import annotations
 
 import pytest
 
-from imufield.acquire.instrument.connected import assumed
+from imufield.acquire.instrument.connected import assumed, say_what_is_known
 from imufield.acquire.registry import load_driver
 
 
@@ -21,3 +21,14 @@ from imufield.acquire.registry import load_driver
 def test_an_assumed_setting_that_changes_every_number_is_said(driver: str, given: dict[str, object], name: str | None) -> None:
     said = assumed(load_driver(driver).load_protocol(given))
     assert [sentence.values["name"] for sentence in said] == ([] if name is None else [name])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("driver", ["stim300", "aceinna_can"])
+def test_what_an_instrument_says_of_itself_is_told_on_every_wire(driver: str) -> None:
+    said: list[str] = []
+    kind = load_driver(driver)
+    say_what_is_known(kind, kind.load_protocol(), {"serial_number": "N7", "firmware": "19.1"}, said.append)
+    assert "instrument: serial number N7, firmware 19.1" in said
+    said.clear()
+    say_what_is_known(kind, kind.load_protocol(), {}, said.append)
+    assert not any(each.startswith("instrument") for each in said)
