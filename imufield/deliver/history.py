@@ -25,7 +25,7 @@ from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageErro
 from imufield.files import Origin
 from imufield.progress import task
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
 
@@ -221,7 +221,7 @@ class InstrumentHistory:
     @property
     def title(self) -> str:
         """Model and serial number."""
-        return " ".join(filter(None, (self.instrument, self.serial_number))) or "unknown instrument"
+        return " ".join(map(shortened, filter(None, (self.instrument, self.serial_number)))) or "unknown instrument"
 
     def age_days(self, now: datetime) -> float:
         """Return the age of the newest calibration."""
