@@ -35,7 +35,7 @@ from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import NO_COUNT, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import dataclass, field, replace
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every, median
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -47,10 +47,11 @@ _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_ROUND = 2  # Counts; what goes to and fro between two numbers is noise, or one bit.
 # Equal restarts, of the last twice as many: losses falsify some. A single one may be a restart of the instrument.
 _SAME_RESTARTS = 4
+_SAME_UNEVEN = 6  # Where the time stamps do not show what was lost at a restart: without losses most are equal.
 _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
-_UNEVEN = 0.25  # By which nearly all stamps are off at most: part of a step, or of the loss that a restart seems to be.
+_UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
-_MOST_STANDING = 0.25  # Share of samples that repeat the count before. Frames sent twice stay below it.
+_MOST_STANDING = 0.25  # Share of samples that repeat the count before and are no copies.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -119,31 +120,35 @@ class CanClock(Clock):
             self._set_unit(self._phase)
 
     def _narrow(self, seen: IntArray, steps_s: FloatArray, new_count: int) -> None:
-        """Shorten the modulus when ``_SAME_RESTARTS`` restarts show the same shorter one, and none between fits that in force.
+        """Shorten the modulus when restarts show the same shorter one, and none between fits that in force.
 
-        Time stamps show how many samples were lost at a restart. Stamps in bursts hide that: then a restart counts only if the
-        present modulus implies a loss much longer than a burst.
+        Time stamps show how many samples were lost at a restart. Where they are uneven, as in bursts, a restart counts only if
+        the loss that the modulus in force implies could not have been so short.
         """
-        steps, step = np.diff(seen), min(self._rule.counter_steps)
+        steps = np.diff(seen)
         regular = np.isin(steps, self._rule.counter_steps)
         if np.count_nonzero(regular) < _RECENT // 2 or not (period_s := float(np.mean(steps_s[regular]))) > 0:
             return
-        unevenness = float(np.quantile(np.abs(steps_s[regular] / period_s - 1), _USUAL_DELAY))
+        step = int(median(steps[regular].astype(np.float64)))
+        is_even = float(np.quantile(np.abs(steps_s[regular] - period_s), 1 - _UNEVEN)) <= _UNEVEN * period_s
+        # With all losses that the counter shows, a period is as short as it can be; a burst hides no more than it lasts.
+        least_s = float(np.sum(steps_s)) / float(np.sum(steps % self._modulus)) * step
+        burst_s = float(steps_s[regular].max()) + period_s / 2
         is_count = self._is_count(seen)
         falls = (steps[1:] < 0) & regular[:-1] & is_count[1:-1] & is_count[2:]
         for place in np.flatnonzero(falls).tolist():
             if place + 2 < len(seen) - new_count:
                 continue
-            last, first, passed = int(seen[place + 1]), int(seen[place + 2]), float(steps_s[place + 1]) / period_s
-            forward = (first - last) % self._modulus / step
-            shown = max(round(passed), 1) if unevenness <= _UNEVEN else 1
-            if forward <= shown or last - first < _LEAST_ROUND:
+            last, first, passed_s = int(seen[place + 1]), int(seen[place + 2]), float(steps_s[place + 1])
+            forward = (first - last) % self._modulus
+            shown = max(round(passed_s / period_s), 1) if is_even else 1
+            if forward in self._rule.counter_steps or forward <= shown * step or last - first < _LEAST_ROUND:
                 self._restarts.clear()
-            elif passed < (1 + forward) / 2 and unevenness <= _UNEVEN * (forward - 1):
+            elif passed_s < ((1 + forward / step) / 2 * period_s if is_even else forward / step * least_s - burst_s):
                 length = last - first + shown * step
                 self._restarts.append((length, first))
                 begins = [begin for known, begin in self._restarts if known == length]
-                if len(begins) == _SAME_RESTARTS:
+                if len(begins) >= (_SAME_RESTARTS if is_even else _SAME_UNEVEN):
                     self._modulus, self._first = length, min(begins)
 
     def _widen(self, seen: IntArray) -> None:
@@ -209,8 +214,10 @@ class CanClock(Clock):
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
-            regular, standing = sum(counts), int(np.count_nonzero(steps == 0))
-            is_odd = regular < _LEAST_REGULAR * len(steps) or standing > _MOST_STANDING * len(steps)
+            # The copy of a frame follows at once.
+            steps_s = np.diff(block.stamp_s)[known[1:] & known[:-1]]
+            standing = int(np.count_nonzero((steps == 0) & (steps_s * len(steps) > _UNEVEN * steps_s.sum())))
+            is_odd = sum(counts) < _LEAST_REGULAR * len(steps) or standing > _MOST_STANDING * len(steps)
             if len(steps) >= LEARN_SAMPLES and is_odd:
                 # It stands, runs back, or counts something else.
                 self._modulus, self._last_counter = 0, None

@@ -159,6 +159,9 @@ class Assembler:
         period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
         if not self._limit_s:
             self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S if is_clear else _LOOSE_LIMIT_S)
+            if self._rule.group_modulus:
+                # Half a round of the counter further on is a sample with the same count.
+                self._limit_s = min(self._limit_s, self._rule.group_modulus * period_s / 2)
         self._doubled_s = _DOUBLED_PART * period_s if is_clear else self._limit_s
 
     def _longest_pause(self, kinds: NDArray[np.int8], time_s: FloatArray, counts: IntArray) -> tuple[int, bool]:
@@ -269,6 +272,8 @@ class Assembler:
         complete = (rows != NO_FRAME).all(axis=1)
         old = (frames.time_s[-1] - frames.time_s[begin] > self._limit_s) | (len(frames) - begin > _LATE_FRAMES)
         open_ones = np.flatnonzero(~(complete | old))
+        # What was given out stays settled, even where its frames are gone.
+        open_ones = open_ones[open_ones >= self._done]
         return int(open_ones[0]) if len(open_ones) else len(rows)
 
 

@@ -103,6 +103,8 @@ class AssemblyRule:
 
     by_counter: bool = False
     """Whether all kinds share a counter, ``CanKind.group``."""
+    group_modulus: int = 0
+    """Of that counter, the smallest; 0 where there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,6 +337,7 @@ def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
         tuple(number for name in table.texts("needs") for number in mapped.numbers_of(table, "needs", name)),
         min(table.known_number("limit_s", low=_SHORTEST_LIMIT_S, high=LARGEST), _LONGEST_LIMIT_S),
         bool(counters),
+        min((kind.group.stated_modulus for kind in mapped.kinds.values() if kind.group), default=0),
     )
 
 
