@@ -30,6 +30,7 @@ _BOTTOM_PT = 30.0  # Those of a horizontal one.
 _LEGEND_PT = 18.0
 _MOST_ACROSS = 10
 _MOST_UPWARDS = 6
+_LONGEST_NUMBER = 6  # Characters.
 _MOST_LEVEL_NAMES = 8  # More are turned, so that they do not touch each other.
 _MOST_DECADES = 7  # Numbers of more would touch each other on the lowest of our pictures.
 
@@ -80,7 +81,10 @@ class Scale:
         step = next(part * decade for part in (1, 2, 5, 10) if part * decade >= least)
         digits = max(0, -math.floor(math.log10(step)))
         for count in range(math.ceil(self.low / step), math.floor(self.high / step) + 1):
-            yield count * step, f"{count * step:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+            text = f"{count * step:.{digits}f}"
+            # Longer numbers would cover the label of the axis.
+            text = text if len(text.lstrip("-")) <= _LONGEST_NUMBER else f"{count * step:g}"
+            yield count * step, text.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(slots=True)
@@ -112,7 +116,7 @@ class Picture:
 
     def area(self, x: FloatArray, low: FloatArray, high: FloatArray, *, face: str, opacity: float) -> None:
         """Fill the area between two lines, as far as both are known."""
-        known = np.isfinite(low + high)
+        known = np.isfinite(low) & np.isfinite(high)
         x, y = np.concatenate([x[known], x[known][::-1]]), np.concatenate([low[known], high[known][::-1]])
         points = " ".join(f"{across:.2f},{down:.2f}" for across, down in zip(x.tolist(), y.tolist(), strict=True))
         self.parts.append(f'<polygon points="{points}" fill="{face}" fill-opacity="{opacity:g}"/>')

@@ -74,7 +74,8 @@ FASTEST_RAD_S = 20.0
 _LEAST_CODE = 512  # Of a converter's largest outputs: smaller numbers are in a unit.
 _END = 1 / 16  # Of the range of all codes, at either end and to either side of its middle.
 _MOST_DAMAGED = 1e-3  # Share of the outputs.
-_LEAST_AT_ENDS = 0.05  # Share of the outputs, at each end.
+_LEAST_AT_ENDS = 0.05  # Share of the outputs of an axis, at each end.
+_LEAST_LEAPS = 3  # Of an axis, from one end to the other.
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,7 +411,7 @@ def choose_unit(
 
 
 def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
-    """Refuse two's complement that was read without its sign: whole numbers near both ends of their bits, none between.
+    """Refuse two's complement that was read without its sign: counts that leap between both ends of their bits, none between.
 
     Raises
     ------
@@ -422,8 +423,10 @@ def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
         return
     bits = int(known.max()).bit_length()
     share = known / (1 << bits)
-    at_ends = min(np.mean(share < _END), np.mean(share > 1 - _END))
-    if np.mean(np.abs(share - 0.5) < _END) < _MOST_DAMAGED and at_ends > _LEAST_AT_ENDS:
+    # An axis at rest is at one end, and goes to the other through the middle; single outputs may be damaged.
+    leaps = np.count_nonzero(np.abs(np.diff(share, axis=0)) > 1 - 2 * _END, axis=0)
+    at_ends = np.minimum(np.mean(share < _END, axis=0), np.mean(share > 1 - _END, axis=0))
+    if np.mean(np.abs(share - 0.5) < _END) < _MOST_DAMAGED and np.any((leaps >= _LEAST_LEAPS) & (at_ends > _LEAST_AT_ENDS)):
         sizes = {"bits": bits, "half": 1 << bits - 1, "codes": 1 << bits}
         raise RecordingError(sentence("table_columns.unsigned", path=path, quantity=quantity, **sizes), Reason.BAD_DATA)
 

@@ -153,9 +153,7 @@ def read_tables(
             scale, _ = choose_time_scale(file.path, file.fields[TIME], unit, rate_hz)
             refuse_bursts(file.path, file.fields[TIME] * scale)
     table = _table(files, rate_hz, zero, settings)
-    # Who knows the raw zero knows the converter.
-    if zero is None:
-        _refuse_unsigned(files, table)
+    _refuse_unsigned(files, table)
     table = _with_rate_of_increments(table, settings or {})
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
@@ -353,7 +351,8 @@ def _table(
 def _refuse_unsigned(files: Sequence[File], table: ImportedTable) -> None:
     paths = ", ".join(dict.fromkeys(str(file.path) for file in files))
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
-        refuse_unsigned(paths, quantity, table.rows[:, columns])
+        if table.settings[f"{quantity}_unit"] == "count":
+            refuse_unsigned(paths, quantity, table.rows[:, columns])
 
 
 def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:

@@ -321,8 +321,9 @@ def navigation(document: Document) -> str:
             axes.band(hours, low, high, color=GREY)
         for time_h, values, color, dashes in curves:
             axes.curve(time_h, values, color=color, dashes=dashes)
-    bands = [] if forecast is None else [("95 % forecast", GREY, "bar")]
-    axes.legend([*((name, *style) for (name, _), style in styles), *bands])
+        if is_last:
+            bands = [] if forecast is None else [("95 % forecast", GREY, "bar")]
+            axes.legend([*((name, *style) for (name, _), style in styles), *bands])
     return drawn.svg()
 
 

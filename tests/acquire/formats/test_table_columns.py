@@ -368,10 +368,13 @@ def test_twos_complement_without_its_sign_is_named(tmp_path: Path, bits: int, tr
     rng = np.random.default_rng(bits)
     up = rng.standard_normal((500, 3))
     sizes = {"accelerometer": up / np.linalg.norm(up, axis=1)[:, None] / 4, "gyroscope": rng.normal(0, 0.05, (500, 3))}
-    codes = np.rint({name: size * (1 << bits) for name, size in sizes.items()}[triad])
-    others = np.full((500, 3), 5.7)
-    # With its sign, about mid-scale, and of a sensor whose outputs keep off the middle: 1650 mV at 0 g, 800 mV/g.
-    for values in (codes, codes + (1 << bits - 1), np.rint(1650 + 800 * np.eye(3)[rng.integers(0, 3, 500)])):
+    codes, others = np.rint(sizes[triad] * (1 << bits)), np.full((500, 3), 5.7)
+    at_rest = np.array([3.0, 5.0, 2.0 ** (bits - 1) - 24]) + rng.integers(0, 3, (500, 3))
+    damaged = at_rest.copy()
+    damaged[[100, 300]] = 2.0**bits - 1
+    faces = np.rint(1650 + 800 * np.eye(3)[rng.integers(0, 3, 500)])
+    # With its sign, about mid-scale, in mg at rest, also with damage, and of a sensor that keeps off the middle.
+    for values in (codes, codes + (1 << bits - 1), at_rest, damaged, faces):
         shown = [values, others] if triad == "accelerometer" else [others, values]
         read_tables([write(tmp_path, text_of(np.arange(500) / 100, *shown))])
     lost = codes % (1 << bits)
@@ -380,3 +383,5 @@ def test_twos_complement_without_its_sign_is_named(tmp_path: Path, bits: int, tr
         read_tables([path])
     with refused(RecordingError, Reason.BAD_DATA, key="table_columns.unsigned"):
         next(stream_table(path))
+    # In a unit they are no codes.
+    read_tables([path], settings={f"{triad}_unit": {"accelerometer": "mg", "gyroscope": "deg/s"}[triad]})
