@@ -178,7 +178,9 @@ def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
     assert np.all(found < 5 * there.accelerometer_sigma.bias_m_s2)
     assert np.all(np.linalg.eigvalsh(there.covariance) > -1e-15)
     page = render_report(ReportData(parameters=joint))
-    assert "temperature-accelerometer-" in page
+    assert "Accelerometer over temperature" in page
+    # The three axes about one another, twice: of bias and of scale.
+    assert page.count('fill-opacity="0.12"') == 6
     assert not [*temperature_curves(sessions[1])]
 
 
