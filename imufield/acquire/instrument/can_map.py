@@ -38,6 +38,7 @@ KEYS = (
     "identifiers",
 )
 """Keys of ``--map``."""
+# The option that states each key of the protocol that is made of them.
 _OPTIONS = {
     "map": "--map",
     **{f"map.{key.replace('.', '_')}": f"--map {key}" for key in (*TRIADS, *_MAP_TEXTS)},
