@@ -6,6 +6,7 @@ room, so that a prompt comes back at once.
 
 from __future__ import annotations
 
+import codecs
 import gc
 import io
 import os
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 _KEPT_BYTES = 1 << 27  # Of freed memory, for the next arrays: many blocks of a recording, of a few megabytes each.
+_FOR_PIPES = "imufield.pipe"  # Name of an error handler.
 _MAPPED_BYTES = 1 << 25  # Of an array from which on it is mapped by itself: the most that glibc takes.
 
 
@@ -32,8 +34,9 @@ def main() -> None:
     _open_closed_streams()
     _let_standard_error_fail()
     # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
-    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.isatty() else "surrogateescape")
+    codecs.register_error(_FOR_PIPES, _bytes_or_codes)
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors in ("strict", "surrogateescape"):
+        sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.isatty() else _FOR_PIPES)
     if sys.argv[1:] == ["--version"]:
         # Where this fails, the whole command line says why.
         with suppress(OSError):
@@ -53,6 +56,14 @@ def main() -> None:
     # Files are closed where they are used: on the way out the collector need not go through all that there is.
     gc.freeze()
     sys.exit(code)
+
+
+def _bytes_or_codes(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return the bytes that letters of a file's name stand for; of letters that the output's encoding lacks, their codes."""
+    try:
+        return codecs.lookup_error("surrogateescape")(error)
+    except UnicodeEncodeError:
+        return codecs.backslashreplace_errors(error)
 
 
 def _keep_freed_memory() -> None:

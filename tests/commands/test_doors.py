@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
 import threading
 import tomllib
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from imufield.cli.run import run
 from imufield.commands.terminal.resume import connect_as_before
 from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
 from imufield.guide.positions import SCHEME_FILE
+from tests.commands.conftest import IMUFIELD
 from tests.commands.told import fails, failure
 from tests.refused import refused
 
@@ -242,6 +244,19 @@ def test_names_that_are_no_utf8(session: Path, program: Program) -> None:
     assert Path(found.strip()).is_file()
     # The second time from the index.
     assert program.run("history", session.parent).returncode == 0
+
+
+def test_letters_that_an_encoding_lacks_end_nothing(session: Path, program: Program) -> None:
+    document = tomllib.loads((session / "parameters.toml").read_text("utf-8"))
+    document["instrument"]["serial_number"] = "Łódź-7"
+    document["integrity"]["sha256"] = "edited"
+    (session / "parameters.toml").write_text(tomli_w.dumps(document), "utf-8")
+    # No fork of another: the interpreter opens its streams.
+    line, variables = [*IMUFIELD, "history", "."], program.environment({"PYTHONIOENCODING": "gbk"})
+    done = subprocess.run(line, check=True, capture_output=True, encoding="gbk", env=variables, cwd=session.parent)
+    # Each letter of the two that it has none of, as its code; what it has stays.
+    assert r"\u0141" in done.stdout
+    assert "ó" in done.stdout
 
 
 def test_a_path_beyond_the_limit_is_refused_before_the_work(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
