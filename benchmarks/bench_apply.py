@@ -93,9 +93,12 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         gyroscope_mean_raw=empty,
         gyroscope_covariance_raw=np.zeros((0, 3, 3)),
         gyroscope_rounding_raw=np.zeros((0, 3)),
+        gyroscope_noise_raw=np.full((0, 3), np.nan),
         direction=empty,
         start_s=times,
         duration_s=times,
+        middle_s=np.full(0, np.nan),
+        middle_rad=np.zeros((0, 3)),
         temperature_degc=times,
         units=SampleUnits(),
     )

@@ -57,9 +57,12 @@ def make_session(seed: int, quadratic: float = 0.0) -> tuple[FloatArray, Observa
         gyroscope_mean_raw=nothing,
         gyroscope_covariance_raw=np.full((24, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((24, 3)),
+        gyroscope_noise_raw=np.full((24, 3), np.nan),
         direction=up,
         start_s=nan,
         duration_s=nan,
+        middle_s=np.full(24, np.nan),
+        middle_rad=np.zeros((24, 3)),
         temperature_degc=nan,
         units=units,
     )

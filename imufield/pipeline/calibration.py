@@ -43,7 +43,7 @@ FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
 _LARGEST_BIAS_DEG_S = 40.0  # Twice the tolerance of a consumer chip at zero rate (MPU-6050: 20).
 _NOT_CALIBRATED = "not calibrated"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
-_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS, Reason.NOT_CONVERGED)
+_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS, Reason.NOT_CONVERGED, Reason.SATURATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

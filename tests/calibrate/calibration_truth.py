@@ -75,9 +75,12 @@ def observe(
         gyroscope_mean_raw=np.full((m, 3), np.nan) if gyroscope is None else gyroscope,
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=np.full((m, 3), np.nan) if direction is None else direction,
         start_s=nan,
         duration_s=nan,
+        middle_s=np.full(m, np.nan),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=nan,
         units=SampleUnits(accelerometer="count", gyroscope="count"),
     )

@@ -72,9 +72,12 @@ def observations(parameters: AccelerometerParameters, residual: np.ndarray) -> O
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((POSITIONS, 3)),
+        gyroscope_noise_raw=np.full((POSITIONS, 3), np.nan),
         direction=up,
         start_s=60 + 14 * np.arange(POSITIONS, dtype=np.float64),
         duration_s=np.full(POSITIONS, 9.7),
+        middle_s=np.full(POSITIONS, np.nan),
+        middle_rad=np.zeros((POSITIONS, 3)),
         temperature_degc=np.linspace(31, 33.3, POSITIONS),
         units=SampleUnits(),
     )

@@ -14,16 +14,23 @@ from tests.guide.conftest import Path as BodyPath
 from tests.told import keys
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "good"), (2.0, "usable")])
+@pytest.mark.parametrize(
+    ("what", "verdict"), [("sound", "good"), ("scale twice as large", "usable"), ("z constant", "usable"), ("dead", "usable")]
+)
 def test_moves_that_contradict_each_other_lower_the_verdict(
-    factor: float, verdict: str, tmp_path: Path, imufield_replay: Callable[..., Replayed]
+    what: str, verdict: str, tmp_path: Path, imufield_replay: Callable[..., Replayed]
 ) -> None:
     first, *others = scheme("paper24").directions()
     path = BodyPath(100.0).hold(first, 8)
     for direction in others:
         path.turn(direction, 1.5).hold(direction, 4)
     samples = path.samples(2e-3, 5e-4)
-    samples.gyroscope[len(samples) // 2 :] *= factor
+    if what == "scale twice as large":
+        samples.gyroscope[len(samples) // 2 :] *= 2
+    elif what == "z constant":
+        samples.gyroscope[:, 2] = 0.01
+    elif what == "dead":
+        samples.gyroscope[:] = 0
     lines = np.column_stack([samples.time_s, samples.accelerometer, samples.gyroscope])
     np.savetxt(tmp_path / "lines.txt", lines, delimiter=",", fmt="%.9f")
     # Not 9.8, which textbooks print for every place.

@@ -75,9 +75,12 @@ def observed(
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=up,
         start_s=20 * np.arange(m, dtype=np.float64),
         duration_s=np.full(m, 10.0),
+        middle_s=np.full(m, np.nan),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=np.full(m, temperature_degc),
         units=SampleUnits(),
     )

@@ -21,6 +21,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     GyroscopeParameters,
 )
+from imufield.calibrate.model.rotation import exponential, rotate
 from imufield.calibrate.moves.moves import SHORTEST_SLOT_S, Moves
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
@@ -34,7 +35,7 @@ FEWEST_STILLS = 2
 # The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another.
 _WRONG_START = 3.0
 _MOVED = 0.05  # Share of all turning that an axis must have to be compared.
-# Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument.
+# Of the output: more than sums of equal numbers differ by, and less than the last bit of any instrument.
 _CONSTANT = 1e-9
 _NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
@@ -120,13 +121,15 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     rest = given.rest_raw
     # What rounding leaves is no noise that a longer mean makes smaller.
     variance = np.maximum(np.diagonal(observations.gyroscope_unrounded_covariance, 0, 1, 2), 0.0)
-    density = np.sqrt(median(variance * observations.duration_s[:, None]))
+    own = observations.gyroscope_noise_raw
+    density = np.sqrt(median(np.where(np.isfinite(own), own**2, variance * observations.duration_s[:, None])))
     duration = np.maximum(moves.slots.duration_s, SHORTEST_SLOT_S)[:, None]
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=observations.gyroscope_unrounded_covariance,
         rounding_covariance=observations.gyroscope_rounding(),
-        force=given.force_m_s2,
+        # As the moves meet it.
+        force=rotate(exponential(-observations.middle_rad), given.force_m_s2),
         moves=centre(moves, rest, _slot_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),
         noise_density_raw=density,
@@ -214,18 +217,19 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     if not len(given.moves):
         return
     moves = len(given.moves)
-    largest = np.abs(data.moves.slots.turn).max(axis=0, initial=0.0)
-    # The same number in all moves and at rest is what no rotating gyroscope gives.
-    dead = largest <= _CONSTANT * np.maximum(np.abs(given.rest_raw), np.finfo(float).tiny)
+    # The same number in all moves is what no rotating gyroscope gives.
+    slots = given.moves.slots
+    rate_raw = (slots.turn.T / slots.duration_s)[:, slots.duration_s > SHORTEST_SLOT_S]
+    dead = np.ptp(rate_raw, axis=1) <= _CONSTANT * np.maximum(np.abs(rate_raw).max(axis=1), np.finfo(float).tiny)
     if dead.any():
         axes = ", ".join(axis for axis, is_dead in zip(AXES, dead, strict=True) if is_dead)
-        raise CalibrationError(sentence("input.constant", axes=axes, moves=moves), Reason.UNOBSERVABLE)
+        raise CalibrationError(sentence("input.constant", axes=axes, moves=moves), Reason.SATURATED)
     noise = data.noise_density_raw * np.sqrt(data.moves.slots.duration_s.sum())
     noisy = np.sqrt(np.sum(data.moves.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
     along = np.sum(data.up[data.moves.before] * data.up[data.moves.after], axis=1)
     if noisy.all() and along.min(initial=1.0) <= _TURNED:
         noisy_moves = sentence("input.only_noise", moves=moves, turned_deg=np.degrees(np.arccos(along.min())))
-        raise CalibrationError(noisy_moves, Reason.UNOBSERVABLE, axes=", ".join(AXES))
+        raise CalibrationError(noisy_moves, Reason.SATURATED, axes=", ".join(AXES))
 
 
 def refuse_foreign(data: GyroscopeData, estimate: FloatArray, preset: FloatArray) -> None:

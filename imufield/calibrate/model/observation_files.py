@@ -89,9 +89,12 @@ def parse_observations(content: bytes, path: str | Path) -> Observations:
         gyroscope_mean_raw=_triad(table, GYROSCOPE_COLUMNS),
         gyroscope_covariance_raw=_diagonal(_triad(table, _SIGMA_GYROSCOPE)),
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=np.full((m, 3), np.nan),
         start_s=unknown,
         duration_s=unknown.copy(),
+        middle_s=unknown.copy(),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=_column(table, TEMPERATURE),
         units=_guess_units(mean),
     )

@@ -38,10 +38,16 @@ class Observations:
     gyroscope_covariance_raw : ndarray, shape (m, 3, 3)
     gyroscope_rounding_raw : ndarray, shape (m, 3)
         1 sigma of what rounding of the output leaves in that mean; in its covariance too.
+    gyroscope_noise_raw : ndarray, shape (m, 3)
+        White noise of its output per sqrt(Hz), where the covariance of the mean is that of a hand; else NaN.
     direction : ndarray, shape (m, 3)
         Planned direction of "up" in the body frame (unit vector); NaN where no position was planned.
     start_s, duration_s, temperature_degc : ndarray, shape (m,)
         Sample clock; NaN where not known.
+    middle_s : ndarray, shape (m,)
+        Of a unit in the hand, which sways: the time that moves begin and end at. NaN for one that lies still.
+    middle_rad : ndarray, shape (m, 3)
+        Turn from the attitude that the mean is of to that at ``middle_s``, rotation vector.
     units : SampleUnits
     left_out : tuple of str
         Names of those that were left out by name.
@@ -53,9 +59,12 @@ class Observations:
     gyroscope_mean_raw: FloatArray
     gyroscope_covariance_raw: FloatArray
     gyroscope_rounding_raw: FloatArray
+    gyroscope_noise_raw: FloatArray
     direction: FloatArray
     start_s: FloatArray
     duration_s: FloatArray
+    middle_s: FloatArray
+    middle_rad: FloatArray
     temperature_degc: FloatArray
     units: SampleUnits
     left_out: tuple[str, ...] = ()
@@ -67,6 +76,12 @@ class Observations:
         name = tuple(name for name, kept in zip(self.name, rows, strict=True) if kept)
         arrays = {array: getattr(self, array)[rows] for array in _ARRAYS}
         return Observations(name=name, units=self.units, left_out=self.left_out, **arrays)
+
+    @property
+    def between_moves_s(self) -> tuple[FloatArray, FloatArray]:
+        """Begin and duration of what lies between the moves, shape (m,) each."""
+        held = np.isfinite(self.middle_s)
+        return np.where(held, self.middle_s, self.start_s), np.where(held, 0.0, self.duration_s)
 
     @property
     def gyroscope_unrounded_covariance(self) -> FloatArray:

@@ -334,9 +334,12 @@ def _no_observations() -> Observations:
         gyroscope_mean_raw=none,
         gyroscope_covariance_raw=covariance,
         gyroscope_rounding_raw=none,
+        gyroscope_noise_raw=none,
         direction=none,
         start_s=times,
         duration_s=times,
+        middle_s=times,
+        middle_rad=none,
         temperature_degc=times,
         units=SampleUnits(),
     )

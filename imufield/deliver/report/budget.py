@@ -15,7 +15,7 @@ from imufield.calibrate.model.budget import Share, combined_sigma, effective_fre
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
 from imufield.calibrate.model.result import GRAVITY_NAME, AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import without_gravity
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals, rounded
@@ -115,11 +115,13 @@ class Group:
         )
 
 
-def budget_of(parameters: Parameters) -> tuple[Group, ...]:
-    """Return the budget of each parameter that was estimated, in groups."""
+def budget_of(parameters: Parameters, *, as_rates: bool = False) -> tuple[Group, ...]:
+    """Return the budget of each parameter that was estimated, in groups; ``as_rates``: of biases of the gyroscope as e / K."""
     calibration = parameters.calibration
     names = calibration.covariance_names
     shares = [*(calibration.budget or _not_apart(calibration)), *_time_base(calibration, parameters.context.clock)]
+    if as_rates and calibration.gyroscope is not None:
+        shares = [_of_rates(share, names, calibration.gyroscope.parameters) for share in shares]
     combined, freedom = combined_sigma(shares), effective_freedom(shares)
     groups: dict[str, list[ParameterBudget]] = {}
     for row, name in enumerate(names):
@@ -136,6 +138,17 @@ def budget_of(parameters: Parameters) -> tuple[Group, ...]:
             )
         )
     return tuple(Group(key=key, parameters=tuple(groups[key])) for key in _TITLES if key in groups)
+
+
+def _of_rates(share: Share, names: Sequence[str], gyroscope: GyroscopeParameters) -> Share:
+    """Return a share of biases e as one of rates e / K, in the raw unit: its part in the scale is one of them, too."""
+    sigma = share.sigma.copy()
+    for axis, rate in zip(AXES, gyroscope.bias / gyroscope.scale, strict=True):
+        bias, scale = f"gyroscope.bias.{axis}", f"gyroscope.scale.{axis}"
+        if bias in names and scale in names:
+            row = names.index(bias)
+            sigma[row] = math.hypot(sigma[row], rate * sigma[names.index(scale)])
+    return replace(share, sigma=sigma)
 
 
 def covariance_of(parameters: Parameters) -> FloatArray:
@@ -193,8 +206,9 @@ def scale_words(parameters: Parameters) -> Sentence | None:
     scales = [each for group in budget_of(parameters) if group.key == "gyroscope.scale" for each in group.parameters]
     if all(_TIME_BASE not in {entry.share.name for entry in each.entries} for each in scales):
         return None
+    nominal = nominal_scale(_of_triad(parameters.calibration, "gyroscope")[1])
     by_clock, true = (
-        1e6 * max(sigma / abs(each.value) for each, sigma in zip(scales, sigmas, strict=True))
+        1e6 * max(sigma / abs(nominal or each.value) for each, sigma in zip(scales, sigmas, strict=True))
         for sigmas in ([each.sigma_by_clock for each in scales], [each.sigma for each in scales])
     )
     return sentence("budget.two_clocks", by_clock=short(by_clock), true=short(true))
@@ -279,7 +293,7 @@ class BudgetTable:
 
 def budget_tables(parameters: Parameters) -> tuple[BudgetTable, ...]:
     """Return the budget as tables for people, in units of the trade."""
-    return tuple(_table(group, parameters.calibration) for group in budget_of(parameters))
+    return tuple(_table(group, parameters.calibration) for group in budget_of(parameters, as_rates=True))
 
 
 def _table(group: Group, calibration: Calibration) -> BudgetTable:
@@ -332,6 +346,8 @@ def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]
         return fixed[kind][0], [fixed[kind][1]] * len(rows)
     if not np.isfinite(of_triad.scale).all():
         return raw_unit, [1.0] * len(rows)
+    if kind == "scale" and (nominal := nominal_scale(raw_unit)) is not None:
+        return "ppm", [nominal * 1e-6] * len(rows)
     # In the raw unit: a millionth of the scale, and of an acceleration, a rate, or a term at 1 g.
     units = {
         "scale": ("ppm", 1e-6),

@@ -93,9 +93,12 @@ def observations_of(parameters: Parameters) -> Observations:
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=column("direction"),
         start_s=column("start_s"),
         duration_s=column("duration_s"),
+        middle_s=np.full(m, np.nan),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=column("temperature_degc"),
         units=SampleUnits(accelerometer=parameters.calibration.accelerometer_raw_unit),
     )

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
 from imufield.dataclass import dataclass
 from imufield.guide.hold.triad_delay import triad_delay
+from imufield.guide.stillness.cells import slots_of
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, median
 
@@ -63,6 +64,12 @@ class HandMean:
     gyroscope_raw : ndarray, shape (3,)
         Mean raw rate without the net turn across the vertical.
     gyroscope_covariance_raw : ndarray, shape (3, 3)
+    gyroscope_noise_raw : ndarray, shape (3,)
+        At rest, as given.
+    middle_s : float
+        First sample of the cell in the middle.
+    middle_rad : ndarray, shape (3,)
+        Turn from the mean attitude to that at ``middle_s``, rotation vector.
     tremor_deg, sway_deg : float
         RMS turn of each axis above and below 4 Hz.
     jolt_m_s2, usual_jolt_m_s2 : float
@@ -75,6 +82,9 @@ class HandMean:
     covariance_raw: FloatArray
     gyroscope_raw: FloatArray
     gyroscope_covariance_raw: FloatArray
+    gyroscope_noise_raw: FloatArray
+    middle_s: float
+    middle_rad: FloatArray
     tremor_deg: float
     sway_deg: float
     jolt_m_s2: float
@@ -104,8 +114,8 @@ def mean_in_hand(
     samples : Samples
         Of the hold, guard bands off, in time order.
     scale : RoughScale
-    noise_density_raw : ndarray, shape (3,)
-        Of the accelerometer at rest, raw rate per sqrt(Hz).
+    noise_density_raw : ndarray, shape (6,)
+        Of accelerometer and gyroscope at rest, raw rate per sqrt(Hz).
     knocks_s : ndarray, shape (k, 2), optional
         Begin and end of knocks; their samples are followed by the gyroscope and left out of the mean.
     """
@@ -122,7 +132,7 @@ def mean_in_hand(
     angle = logarithm(attitude)
     tremor = angle - _running_mean(angle, steps.time_s)
     sway = angle - tremor
-    white = noise_density_raw**2 * float(taper @ taper) / float(median(np.diff(steps.time_s)))
+    white = noise_density_raw[:3] ** 2 * float(taper @ taper) / float(median(np.diff(steps.time_s)))
     tremor_rad = float(np.sqrt(np.mean(tremor.var(axis=0))))
     deviation = turned - mean
     # A wrong gain g of the turns leaves 1 - g of what they remove from the mean: the centripetal force of the arm.
@@ -134,12 +144,18 @@ def mean_in_hand(
     gyroscope_scale = scale.gyroscope or math.nan
     # Gravity does not show heading: the net turn about the vertical stays in the mean rate, as large as the sway.
     turn_sigma = gyroscope_scale * math.sqrt(2) * max(sway_rad, _LEAST_SWAY_RAD) / float(np.ptp(steps.time_s))
+    # Moves are cut where a cell begins, by the times of the gyroscope.
+    slots = slots_of(samples.time_s)
+    middle_s = float(samples.time_s[np.searchsorted(slots, slots[len(slots) // 2])])
     jolt, usual_jolt, jolt_after_s = _jolt(steps.time_s, turned / (scale.accelerometer or math.nan))
     return HandMean(
         force_raw=mean + scale.raw_zero,
         covariance_raw=spread,
         gyroscope_raw=rest * gyroscope_scale,
         gyroscope_covariance_raw=np.eye(3) * turn_sigma**2,
+        gyroscope_noise_raw=noise_density_raw[3:],
+        middle_s=middle_s,
+        middle_rad=np.array([np.interp(middle_s, steps.time_s + delay_s, column) for column in angle.T]),
         tremor_deg=math.degrees(tremor_rad),
         sway_deg=math.degrees(sway_rad),
         jolt_m_s2=jolt,

@@ -76,5 +76,5 @@ def measure_in_hand(cells: Cells, history: SampleHistory, detector: StillnessDet
     samples = history.between(float(cells.start_s[0]), float(cells.end_s[-1]))
     if samples is None or samples.time_s[0] >= cells.end_s[0] or detector.floor is None:
         return None
-    density = detector.floor.cell_sigma[:3] * math.sqrt(CELL_S)
+    density = detector.floor.cell_sigma * math.sqrt(CELL_S)
     return mean_in_hand(samples, detector.scale, density, knocks_of(cells, detector.limits))

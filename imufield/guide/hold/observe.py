@@ -24,6 +24,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import NamedTuple
@@ -53,9 +54,10 @@ _FEWEST_BEYOND = 1e-15  # Share of the samples: none, as far as the rounding of 
 _MOST_BEYOND = 0.4999  # So many that rounding is nothing.
 # Of the fields of one observation that the solvers take as arrays.
 _SHAPES: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "gyroscope_rounding_raw", "direction"), (3,)),
+    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "gyroscope_rounding_raw", "gyroscope_noise_raw"), (3,)),
+    **dict.fromkeys(("direction", "middle_rad"), (3,)),
     **dict.fromkeys(("covariance_raw", "gyroscope_covariance_raw"), (3, 3)),
-    **dict.fromkeys(("start_s", "duration_s", "temperature_degc"), ()),
+    **dict.fromkeys(("start_s", "duration_s", "middle_s", "temperature_degc"), ()),
 }
 
 
@@ -76,6 +78,21 @@ class Observation:
     output: HoldOutput
     hand_mean: HandMean | None = None
     """For a hold in the hand."""
+
+    @property
+    def gyroscope_noise_raw(self) -> FloatArray:
+        """As in ``Observations``."""
+        return np.full(3, np.nan) if self.hand_mean is None else self.hand_mean.gyroscope_noise_raw
+
+    @property
+    def middle_s(self) -> float:
+        """As in ``Observations``."""
+        return math.nan if self.hand_mean is None else self.hand_mean.middle_s
+
+    @property
+    def middle_rad(self) -> FloatArray:
+        """As in ``Observations``."""
+        return np.zeros(3) if self.hand_mean is None else self.hand_mean.middle_rad
 
 
 def stand_out(cells: Cells, limits: Limits) -> FloatArray:

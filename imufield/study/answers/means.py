@@ -123,9 +123,12 @@ class MeanSession:
             gyroscope_mean_raw=unknown,
             gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
             gyroscope_rounding_raw=np.zeros((m, 3)),
+            gyroscope_noise_raw=unknown,
             direction=up,
             start_s=start_s,
             duration_s=np.full(m, HOLD_S),
+            middle_s=np.full(m, np.nan),
+            middle_rad=np.zeros((m, 3)),
             temperature_degc=np.full(m, 25.0),
             units=SampleUnits(),
         )

@@ -42,9 +42,12 @@ def means(raw: FloatArray) -> Observations:
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=unknown,
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=np.full((m, 3), np.nan),
         start_s=nothing,
         duration_s=nothing,
+        middle_s=np.full(m, np.nan),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=nothing,
         units=SampleUnits(),
     )

@@ -23,8 +23,10 @@ from imufield.deliver.certificate.page import render_certificate
 from imufield.deliver.parameters.consistency import contradiction
 from imufield.deliver.parameters.context import ClockFacts, Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, from_document, load, to_document
+from imufield.deliver.parameters.printed_numbers import rounded
 from imufield.deliver.parameters.schema import json_ready
-from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budget
+from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budget, short
+from imufield.deliver.report.rows import parameter_rows
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
@@ -276,6 +278,34 @@ def test_tables_name_each_share(solved: Parameters) -> None:
         assert len(table.results) == len(group.parameters)
         # The values stand in another table, of the certificate or the report, rounded as there.
         assert key_of(table.sums[-1][0]) == "budget.expanded"
+
+
+def test_a_number_has_one_uncertainty_wherever_it_stands(calibration: Calibration, observations: Observations) -> None:
+    """A bias as a rate is e / K: what is not known of K is in it."""
+    gyroscope = calibration.gyroscope
+    assert gyroscope is not None
+    both = np.diag([*np.diag(calibration.covariance), *(0.02 * gyroscope.parameters.scale) ** 2])
+    both[: len(calibration.covariance), : len(calibration.covariance)] = calibration.covariance
+    turned = replace(
+        calibration,
+        covariance_names=(*calibration.covariance_names, *(f"gyroscope.scale.{axis}" for axis in "xyz")),
+        covariance=both,
+        gyroscope=replace(gyroscope, sigma=replace(gyroscope.sigma, scale=0.02 * gyroscope.parameters.scale)),
+    )
+    parameters = parameters_of(turned, observations)
+    tables, rows = {key_of(table.title): table for table in budget_tables(parameters)}, parameter_rows(turned, None)
+    for title, triad, name in (
+        ("titles.gyroscope_bias", "Gyroscope", "bias"),
+        ("titles.gyroscope_scale", "Gyroscope", "scale error"),
+        ("titles.accelerometer_scale", "Accelerometer", "scale error"),
+    ):
+        of_title = [row for row in rows if row.triad == triad and row.name.startswith(f"{name} ")]
+        sums = {key_of(words): texts for words, *texts in tables[title].sums}
+        # The table of the parameters is for the clock of the samples.
+        own = sums.get("budget.combined_by_clock") or sums["budget.combined"]
+        assert own == [short(row.sigma) for row in of_title]
+        values = [rounded(row.value, float(U), sign=True) for row, U in zip(of_title, [*sums.values()][-1], strict=True)]
+        assert [value for _, value, *_ in tables[title].results] == values
 
 
 def test_a_scale_that_only_the_maker_knows_has_its_own_unit(calibration: Calibration, observations: Observations) -> None:

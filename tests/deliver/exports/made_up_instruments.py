@@ -92,9 +92,12 @@ def loaded(
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((POSITIONS, 3)),
+        gyroscope_noise_raw=np.full((POSITIONS, 3), np.nan),
         direction=up,
         start_s=np.arange(POSITIONS, dtype=np.float64),
         duration_s=np.ones(POSITIONS),
+        middle_s=np.full(POSITIONS, np.nan),
+        middle_rad=np.zeros((POSITIONS, 3)),
         temperature_degc=np.full(POSITIONS, 30.0),
         units=SampleUnits(accelerometer=units[0], gyroscope=units[1]),
     )

@@ -45,9 +45,12 @@ def observe(seed: int, positions: str = "paper24", truth: AccelerometerParameter
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((m, 3)),
+        gyroscope_noise_raw=np.full((m, 3), np.nan),
         direction=up,
         start_s=np.arange(m, dtype=np.float64),
         duration_s=np.ones(m),
+        middle_s=np.full(m, np.nan),
+        middle_rad=np.zeros((m, 3)),
         temperature_degc=np.full(m, 25.0),
         units=SampleUnits(),
     )

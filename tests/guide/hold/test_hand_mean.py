@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.calibrate.model.rotation import exponential, rotate
 from imufield.guide.hold.checks import JOLT_SHARE, HoldUnderTest, examine
 from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
+from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import BUMPED
 from imufield.guide.stillness.cells import join_cells
 from imufield.guide.stillness.limits import noise_limits
@@ -26,16 +28,18 @@ from tests.guide.guided import cells_of, is_said_by
 pytestmark = pytest.mark.numerical
 
 MICRO_G = 9.80665e-6
-QUIET = np.zeros(3)
+QUIET = np.zeros(6)
 SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 GYROSCOPE_BIAS = 0.003
 
 
-def hold(seed: int, *, delay_s: float = 0.0, scale_error: float = 0.0, **habits: Any) -> tuple[Samples, float]:
-    """Ten seconds in the hand, noise-free, and gravity there; the pivot is up to 10 cm away."""
+def hold(
+    seed: int, *, delay_s: float = 0.0, scale_error: float = 0.0, arm_m: float = 0.1, **habits: Any
+) -> tuple[Samples, float]:
+    """Ten seconds in the hand, noise-free, and gravity there; the pivot is up to ``arm_m`` away."""
     rng = np.random.default_rng(seed)
     lever = rng.standard_normal(3)
-    lever *= rng.uniform(0, 0.1) / np.linalg.norm(lever)
+    lever *= rng.uniform(0, arm_m) / np.linalg.norm(lever)
     unit = perfect_instrument(TACTICAL)
     gyroscope = replace(
         unit.gyroscope, scale=unit.gyroscope.scale * (1 + scale_error), bias=unit.gyroscope.bias + GYROSCOPE_BIAS
@@ -102,7 +106,7 @@ def test_the_noise_of_the_instrument_is_in_the_sigma() -> None:
     ratio = []
     for _ in range(60):
         noisy = replace(samples, accelerometer=samples.accelerometer + sigma * rng.standard_normal(samples.accelerometer.shape))
-        found = mean_in_hand(noisy, SI, np.full(3, density))
+        found = mean_in_hand(noisy, SI, np.full(6, density))
         assert found is not None
         along = found.force_raw / np.linalg.norm(found.force_raw)
         error = float(np.linalg.norm(found.force_raw)) - gravity
@@ -121,6 +125,19 @@ def test_the_gyroscopes_bias_is_known_as_far_as_the_turn_is() -> None:
     found = error_ug(1, tremor_rad=math.radians(0.05), sway_rad=math.radians(0.3), sway_m=0.0)[1]
     sigma = np.sqrt(np.diag(found.gyroscope_covariance_raw))
     assert np.all(np.abs(found.gyroscope_raw - GYROSCOPE_BIAS) < 4 * sigma)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.002])
+def test_the_attitude_in_the_middle_is_told(delay_s: float) -> None:
+    """Without an arm, the accelerometer shows gravity's direction in each sample."""
+    habits = {"tremor_rad": math.radians(0.1), "sway_rad": math.radians(0.5), "sway_m": 0.0}
+    samples, _ = hold(2, delay_s=delay_s, arm_m=0.0, **habits)
+    found = mean_in_hand(samples, SI, QUIET)
+    assert found is not None
+    # The outputs of the gyroscope come so much later.
+    there = [np.interp(found.middle_s - delay_s, samples.time_s, column) for column in samples.accelerometer.T]
+    turned = rotate(exponential(-found.middle_rad), found.force_raw)
+    assert angle_deg(turned, np.array(there)) < 0.01 < 0.1 < angle_deg(found.force_raw, np.array(there))
 
 
 def test_knocks_are_left_out() -> None:

@@ -31,7 +31,7 @@ def worst(tremor_hz: float, tremor_deg: float, sway_deg: float, arm: str, rate_h
 
 
 def held(samples: Samples) -> HandMean:
-    found = mean_in_hand(samples, RoughScale(accelerometer=1.0, gyroscope=1.0), np.zeros(3))
+    found = mean_in_hand(samples, RoughScale(accelerometer=1.0, gyroscope=1.0), np.zeros(6))
     assert found is not None
     return found
 
@@ -99,7 +99,7 @@ def test_coarse_stamps_are_borne(rate_hz: float) -> None:
 def test_stamps_that_stand_still_give_no_mean() -> None:
     whole = worst(12.0, TREMOR_DEG, 0.1, "oblique", 100.0, 0.0)
     assert (
-        mean_in_hand(replace(whole, time_s=np.zeros(len(whole))), RoughScale(accelerometer=1.0, gyroscope=1.0), np.zeros(3))
+        mean_in_hand(replace(whole, time_s=np.zeros(len(whole))), RoughScale(accelerometer=1.0, gyroscope=1.0), np.zeros(6))
         is None
     )
 

@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.model.models import recover
+from imufield.calibrate.moves.moves import cut_moves
+from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.events import RefusalCode
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
+from imufield.pipeline.reading import ReadingCollector
 from imufield.samples import Samples, SampleUnits, make_samples, no_samples
 from imufield.simulate.truth.grades import draw_truth, find_grade, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
@@ -230,6 +236,23 @@ def test_holds_in_the_hand_are_measured_as_by_the_guide(in_hand: tuple[Samples, 
     assert np.abs((norm - gravity_m_s2) / sigma).max() < 4
     # The first was on the table.
     assert (sigma[1:] > sigma[0]).all()
+
+
+def test_moves_reach_from_a_hold_in_the_hand_to_the_next(in_hand: tuple[Samples, Imu, float]) -> None:
+    """The unit sways by 0.4 deg; its moves tell the scale of the gyroscope as if it did not."""
+    samples, imu, gravity_m_s2 = in_hand
+    found, collector = find_still_intervals([samples]).observations, ReadingCollector()
+    collector.feed(samples)
+    slots, ends = collector.slots(found)
+    gravity = Gravity(gravity_m_s2=gravity_m_s2, sigma_m_s2=1e-5, source="typed")
+    moves = cut_moves(slots, *found.between_moves_s, ends)
+    calibration = calibrate_accelerometer(found, gravity)
+    result = calibrate_gyroscope(GyroscopeInput(observations=found, moves=moves, calibration=calibration))
+    off = result.calibration.parameters.scale / imu.instrument.gyroscope.scale - 1
+    sigma = result.calibration.sigma.scale / imu.instrument.gyroscope.scale
+    assert result.moves.rms_after_deg < 0.1
+    assert sigma.max() < 1e-3
+    assert np.abs(off / sigma).max() < 4
 
 
 def test_holds_in_the_hand_do_not_depend_on_the_cuts(in_hand: tuple[Samples, Imu, float], cut_blocks: Any) -> None:
