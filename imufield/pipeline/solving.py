@@ -312,7 +312,9 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     if len(found.observations) < FEWEST_FOR_SCALE_AND_BIAS:
         _refuse_ramp(chain, session)
     if len(found.observations) == 1 and not found.refused:
-        raise CalibrationError(sentence("solving.one_rest", name=session.name, limit=FEWEST_FOR_SCALE_AND_BIAS), Reason.TOO_FEW)
+        has_gyroscope = np.isfinite(found.observations.gyroscope_mean_raw).all()
+        key = "solving.one_rest" if has_gyroscope else "solving.one_rest_in_hand"
+        raise CalibrationError(sentence(key, name=session.name, limit=FEWEST_FOR_SCALE_AND_BIAS), Reason.TOO_FEW)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:

@@ -89,7 +89,6 @@ class StillnessDetector:
         self.floor: NoiseFloor | None = None  # None until there was a quiet stretch.
         self._table = Tracker(ON_TABLE, longest_s)
         self._hand = Tracker(IN_HAND, longest_s) if hand and scale.gyroscope else None
-        self.knows_hands = self._hand is not None
         self._trackers = (self._table,) if self._hand is None else (self._table, self._hand)
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
         # The longest stretch as still as on a table within the latest hold in the hand, once it ended.
@@ -99,6 +98,11 @@ class StillnessDetector:
         self._cells_waiting = 0
         self._tail: list[Cells] = []  # The last of those that wait, joined; a window may begin there.
         self._slot: int | None = None
+
+    @property
+    def knows_hands(self) -> bool:
+        """Whether a unit may be as still as a hand is; what a hand does shows in its turns."""
+        return self._hand is not None
 
     @property
     def limits(self) -> Limits:
@@ -198,6 +202,8 @@ class StillnessDetector:
     def _set_floor(self, floor: NoiseFloor) -> None:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
+        if not floor.has_gyroscope:
+            self._hand, self._trackers = None, (self._table,)
         for tracker in self._trackers:
             limits = noise_limits(floor, self.scale, tracker.allowances)
             tracker.standard = Standard.of(floor, limits, self.scale)

@@ -280,6 +280,13 @@ def test_holds_in_the_hand_before_the_first_rest_count_at_any_rate(in_hand: tupl
     assert np.abs(np.linalg.norm(found.mean_raw, axis=1) - gravity_m_s2).max() < 0.01
 
 
+def test_without_a_gyroscope_a_hand_is_no_rest(in_hand: tuple[Samples, Imu, float]) -> None:
+    samples = in_hand[0]
+    found = find_still_intervals([replace(samples, gyroscope=np.full_like(samples.gyroscope, np.nan))])
+    # The rest on the table.
+    assert len(found.observations) == 1
+
+
 def test_without_the_scale_of_the_gyroscope_a_hand_is_no_rest(in_hand: tuple[Samples, Imu, float]) -> None:
     samples = in_hand[0]
     counts = replace(samples, units=SampleUnits(accelerometer="m/s^2", gyroscope="count"))
