@@ -34,7 +34,7 @@ from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.protocol.units import SECONDS, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_SI, unit_name
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -162,7 +162,8 @@ def read_tables(
 def _with_rate_of_increments(table: ImportedTable, settings: Mapping[str, object]) -> ImportedTable:
     """Return a table of increments with their rate, that of its times where none is stated."""
     known, steps_s = {**table.settings, **settings}, np.diff(table.rows[:, 0])
-    are_increments = known.get("increments") == "true" or _INCREMENTS & {known["accelerometer_unit"], known["gyroscope_unit"]}
+    si_units = {TO_SI.get(str(known[f"{triad}_unit"]), ("",))[0] for triad in TRIADS}
+    are_increments = known.get("increments") == "true" or _INCREMENTS & si_units
     if not are_increments or "rate_hz" in known or not (steps_s > 0).any():
         return table
     rate_hz = 1 / float(median(steps_s[steps_s > 0]))

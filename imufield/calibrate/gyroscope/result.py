@@ -284,6 +284,11 @@ def _result(
 ) -> GyroscopeResult:
     """Return what holds for every fit: the parameters at ``x`` with shares ``own``, and the sigma of the known ones."""
     values, J = forward(x, solution.given.rest_raw)
+    # What no turn shows is as it was, but for what the inverse of A makes of the others.
+    preset = solution.given.preset
+    before = np.zeros((3, 3)) if preset is None else preset.misalignment_rad
+    angles = slice(3, 9)
+    values[angles] = np.where(known[angles], values[angles], before[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS])
     shares = {name: J @ part @ J.T for name, part in own.items()}
     covariance = np.sum([*shares.values()], axis=0)
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)

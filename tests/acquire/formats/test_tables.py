@@ -459,7 +459,11 @@ def test_a_counter_may_be_missing_and_a_status_full(tmp_path: Path) -> None:
     assert table.status[4:7].tolist() == [0, 2**32 - 1, 0]
 
 
-@pytest.mark.parametrize(("settings", "rate_hz"), [({}, 200.0), ({"rate_hz": "100"}, None)], ids=["by time", "stated"])
+@pytest.mark.parametrize(
+    ("settings", "rate_hz"),
+    [({}, 200.0), ({"rate_hz": "100"}, None), ({"accelerometer_unit": "m/s^2", "gyroscope_unit": "deg"}, 200.0)],
+    ids=["by time", "stated", "angles alone, in deg"],
+)
 def test_increments_have_the_rate_of_their_times(tmp_path: Path, settings: dict[str, str], rate_hz: float | None) -> None:
     path = tmp_path / "increments.csv"
     rows = "".join(f"{5 * k / 1000},0,0,0.049,0,0,{1e-6 * k}\n" for k in range(400))

@@ -309,6 +309,10 @@ def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
     assert np.isnan(result.calibration.sigma.scale[0])
     assert result.calibration.parameters.scale[0] == pytest.approx(full.truth.scale[0], rel=1e-3)
     assert "gyroscope.scale.x" in told(result.reasons, "result.hidden")[0].values["names"]
+    angles = {name.rpartition(".")[2] for name in result.unobservable if "misalignment" in name}
+    hidden = tuple(np.array([["xyz".index(axis) for axis in pair] for pair in sorted(angles)]).T)
+    assert angles
+    np.testing.assert_array_equal(result.calibration.parameters.misalignment_rad[hidden], full.truth.misalignment_rad[hidden])
     counts = replace(
         given,
         preset=None,
