@@ -52,6 +52,8 @@ _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
 _UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
 _MOST_STANDING = 0.25  # Share of samples that repeat the count before and are no copies.
+_DISPROVED_S = 0.25  # By which a count is ahead of stamps that are not late: the instrument was restarted.
+_OUT_OF_ORDER = 4  # Counts by which a frame that another has overtaken is behind.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -83,7 +85,7 @@ class CanClock(Clock):
         self._phase: _Phase | None = None
         self._tried = LEARN_SAMPLES  # Samples from which no period could be learned yet.
         self._stamps = FrameStamps()
-        self._last_time_s = -np.inf
+        self._last_time_s, self._last_stamp_s = -np.inf, -np.inf
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._first = 0  # The count that it begins anew with.
@@ -92,6 +94,7 @@ class CanClock(Clock):
         # Of the last restarts that the modulus does not explain: the modulus that does, and the count behind it.
         self._restarts: deque[tuple[int, int]] = deque(maxlen=2 * _SAME_RESTARTS)
         self._counter_step = 1
+        self._unnumbered = 0  # Samples that passed and are not in ``number``.
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
 
@@ -209,23 +212,25 @@ class CanClock(Clock):
 
     def _learn(self, block: RawBlock) -> _Phase:
         """Learn the period, and the usual step of a counter."""
-        known = self._is_count(block.counter)
-        if np.count_nonzero(known) > len(known) / 2 and self._modulus:
-            steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
-            counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
+        known = np.flatnonzero(self._is_count(block.counter))
+        if len(known) and self._modulus:
+            steps, apart, steps_s = (np.diff(values[known]) for values in (block.counter, np.arange(len(block)), block.stamp_s))
+            steps %= self._modulus
+            counts = [np.count_nonzero(steps == step * apart % self._modulus) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
             # The copy of a frame follows at once.
-            steps_s = np.diff(block.stamp_s)[known[1:] & known[:-1]]
             standing = int(np.count_nonzero((steps == 0) & (steps_s * len(steps) > _UNEVEN * steps_s.sum())))
             is_odd = sum(counts) < _LEAST_REGULAR * len(steps) or standing > _MOST_STANDING * len(steps)
             if len(steps) >= LEARN_SAMPLES and is_odd:
                 # It stands, runs back, or counts something else.
                 self._modulus, self._last_counter = 0, None
                 self._statistics.count(NO_COUNT, len(block))
-            else:
-                first = int(np.argmax(known))
+            elif len(known) > len(block) / 2:
+                first = int(known[0])
                 self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
-        steps = self._steps(block.counter)
+        steps = (
+            np.ones(len(block)) if self._last_counter is None else self._without_steps_back(self._all_forward(block.counter))
+        )
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         phase = _Phase(period_s=period_s, window_s=window_s)
@@ -252,13 +257,21 @@ class CanClock(Clock):
             if self._last_counter is None:
                 self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
 
-    def _steps(self, counter: IntArray) -> FloatArray:
-        """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
-        return np.ones(len(counter)) if self._last_counter is None else self._without_steps_back(self._all_forward(counter))
-
     def _without_steps_back(self, forward: FloatArray) -> FloatArray:
         # More than half a round forward is a step back: frames out of order, or a restart.
         return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
+
+    def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
+        """Return which steps of the counter are those of a restart: stamps are late, and never so early. Shape (n,)."""
+        stamp_s = np.append(self._last_stamp_s, block.stamp_s[: len(forward)])
+        number = phase.number + np.append(0.0, np.cumsum(self._without_steps_back(forward)))
+        late_s = np.maximum(stamp_s - number * phase.period_s - phase.base_s, 0.0)
+        ahead_s = forward * phase.period_s - np.diff(stamp_s)
+        anew = ahead_s > late_s[:-1] + max(_DISPROVED_S, 2 * phase.delay_s)
+        # Not where a frame has overtaken another, nor where the clock of the stamps was set.
+        anew &= self._modulus - forward * self._counter_step > _OUT_OF_ORDER
+        anew &= (block.status[: len(forward)] & np.uint32(Status.CLOCK_SET)) == 0
+        return anew & (not phase.is_blind)
 
     def _all_forward(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
         """Return the steps of the counter as if all went forward, from 0 up to one wrap, in samples. Shape (n,)."""
@@ -286,7 +299,12 @@ class CanClock(Clock):
             envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
         forward = None if self._last_counter is None else self._all_forward(block.counter[:ready], remember=True)
-        steps = None if forward is None else self._without_steps_back(forward)
+        steps, anew = None, np.zeros(ready, dtype=np.bool_)
+        if forward is not None:
+            anew = self._are_anew(forward, block, phase)
+            forward[anew] = 1.0
+            steps = self._without_steps_back(forward)
+        self._last_stamp_s = float(block.stamp_s[ready - 1])
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = is_steady and most_s < phase.visible_s
         repeated = steps is not None and not every(steps >= 1)
@@ -295,11 +313,15 @@ class CanClock(Clock):
             phase.last_time_s = float(time_s[-1])
             estimated = None
         else:
-            estimated = _losses(envelope_s, moved_s, phase, forward, steps)
+            estimated = _losses(envelope_s, moved_s, phase, forward, steps, anew=anew)
             time_s = _forward(time_s, phase)
         before_s = envelope_s if ready > phase.burst else np.concatenate([phase.before_s, envelope_s])
         phase.before_s = before_s[-phase.burst - 1 :]
-        self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
+        self._begin = self._begin or (float(number[0]) + self._unnumbered, float(time_s[0]))
+        if estimated is not None:
+            # A count that comes again behind a loss is that of another sample.
+            again = 0 if steps is None else np.count_nonzero(estimated[steps == 0])
+            self._unnumbered += int(estimated.sum()) + int(again)
         samples = self._samples(block[:ready], time_s, steps, estimated)
         # The rate as learned, and as measured since the first sample.
         self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
@@ -307,7 +329,7 @@ class CanClock(Clock):
         self._statistics.follows_host = not phase.is_blind
         if span_s >= 2 * LEARN_S:
             self._statistics.rate_sigma = phase.delay_s / span_s
-            self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - self._begin[0]) / span_s
+            self._statistics.rate_hz = (phase.number + self._unnumbered - self._begin[0]) / span_s
         self._last_time_s = phase.last_time_s
         # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.
         if phase.run >= _DRIFT_RUN:
@@ -318,7 +340,9 @@ class CanClock(Clock):
         """Return the numbers of all samples of the block; what is not ready is counted again in the next call."""
         if self._last_counter is None:
             return np.arange(phase.number + 1, phase.number + len(block) + 0.5)
-        return np.asarray(phase.number + np.cumsum(self._steps(block.counter)))
+        forward = self._all_forward(block.counter)
+        forward[self._are_anew(forward, block, phase)] = 1.0
+        return np.asarray(phase.number + np.cumsum(self._without_steps_back(forward)))
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.empty(len(block), dtype=np.uint32)
@@ -349,23 +373,31 @@ def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
 
 
 def _losses(
-    envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase, forward: FloatArray | None, steps: FloatArray | None
+    envelope_s: FloatArray,
+    moved_s: FloatArray,
+    phase: _Phase,
+    forward: FloatArray | None,
+    steps: FloatArray | None,
+    *,
+    anew: NDArray[np.bool_],
 ) -> IntArray:
     """Return how many samples are missing before each one by the steps of the phase. Shape (n,).
 
-    Whole units of them, and what the counter shows if a step that seemed to go back, or none, was one forward.
+    Whole units of them, and what the counter shows if a step that seemed to go back, or none, was one forward; what the stamps
+    show where the counter began ``anew``.
     """
     lost = np.zeros(len(moved_s), dtype=np.int64)
-    for place in np.flatnonzero(moved_s >= phase.visible_s).tolist():
+    for place in np.flatnonzero(moved_s >= np.where(anew, phase.period_s / 2, phase.visible_s)).tolist():
         # The last burst before a loss has nothing behind it that shows how late it was.
         before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
         step = 1 if steps is None else round(float(steps[place]))
         # What the counter went on by if the step that was taken for one back was forward.
         unseen = 0 if forward is None else round(float(forward[place])) - step
-        units = round((float(step_s) / phase.period_s - unseen) / phase.unit)
+        unit = 1 if anew[place] else phase.unit
+        units = round((float(step_s) / phase.period_s - unseen) / unit)
         # A count that was repeated is one sample less.
-        lost[place] = max(units * phase.unit + unseen + min(step - 1, 0), 0)
+        lost[place] = max(units * unit + unseen + min(step - 1, 0), 0)
     return lost
 
 

@@ -87,6 +87,31 @@ class Groups:
     keep_from: int
 
 
+@dataclass(slots=True)
+class _Past:
+    """What the counter showed up to the beginning of a sample, or up to those of many: then arrays."""
+
+    count: int | IntArray = -1
+    time_s: float | FloatArray = 0.0
+    samples: int | IntArray = 0
+    low: int | IntArray = np.iinfo(np.int64).max
+    high: int | IntArray = -1
+
+    def followed(self, count: IntArray, time_s: FloatArray, is_same: NDArray[np.bool_]) -> _Past:
+        """Return what it shows with each of the next; a count that is the same once more may be a copy."""
+        return _Past(
+            count,
+            time_s,
+            self.samples + np.cumsum(~is_same),
+            np.minimum(np.minimum.accumulate(count), self.low),
+            np.maximum(np.maximum.accumulate(count), self.high),
+        )
+
+    def at(self, place: int) -> _Past:
+        """Return what it shows at one of many."""
+        return _Past(*(getattr(self, name)[place].item() for name in self.__slots__))
+
+
 class Assembler:
     """Groups frames into samples, block by block.
 
@@ -105,11 +130,12 @@ class Assembler:
         self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1
         self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
+        self._period_s = 0.0
         # By counter: samples given out of those that begin with the first frames of the next block, which of these frames are
-        # used, and count and time of the beginning before them.
+        # used, and what began before them.
         self._done = 0
         self._used = np.zeros(0, dtype=np.bool_)
-        self._start_before = (-1, 0.0)
+        self._past = _Past()
 
     @property
     def start(self) -> int:
@@ -148,7 +174,7 @@ class Assembler:
     def _learn(self, kind: NDArray[np.int8], time_s: FloatArray) -> None:
         """Find the kind that comes after the longest pauses, and the period."""
         self._learned = True
-        if len(kind) == 0 or (self._start is not None and self._limit_s > 0):
+        if len(kind) == 0:
             return
         counts = np.bincount(kind, minlength=self._kinds)
         longest, is_clear = self._longest_pause(kind, time_s, counts)
@@ -156,12 +182,11 @@ class Assembler:
             usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
             self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
         number = max(int(counts[self._start]) - 1, 1)
-        period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
+        self._period_s = period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
         if not self._limit_s:
             self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S if is_clear else _LOOSE_LIMIT_S)
-            if self._rule.group_modulus:
-                # Half a round of the counter further on is a sample with the same count.
-                self._limit_s = min(self._limit_s, self._rule.group_modulus * period_s / 2)
+        if self._rule.limit_s and self._rule.starts_with is not None:
+            return
         self._doubled_s = _DOUBLED_PART * period_s if is_clear else self._limit_s
 
     def _longest_pause(self, kinds: NDArray[np.int8], time_s: FloatArray, counts: IntArray) -> tuple[int, bool]:
@@ -223,47 +248,40 @@ class Assembler:
 
     def _by_counter(self, frames: SampleFrames, group: IntArray, last: bool) -> Groups:
         all_starts = np.flatnonzero(frames.kind == self._start)
-        group_before, before_s = self._start_before
-        is_same = np.diff(group[all_starts], prepend=group_before) == 0
+        count, begin_s = group[all_starts], frames.time_s[all_starts]
+        is_same = np.diff(count, prepend=self._past.count) == 0
+        past = self._past.followed(count, begin_s, is_same)
+        # More samples than counts between the ends: it has begun anew. Half a round further on is a sample with the same count.
+        span, stated = past.high - past.low + 1, self._rule.group_modulus or math.inf
+        half_round = np.where(past.samples > span, np.minimum(span, stated), stated) / 2
+        limit_s = np.minimum(self._limit_s, half_round * self._period_s)
         # A whole round of the counter may have been lost.
-        is_soon = np.diff(frames.time_s[all_starts], prepend=before_s) <= self._limit_s
-        starts = all_starts[~(is_same & is_soon)]
+        is_new = ~(is_same & (np.diff(begin_s, prepend=self._past.time_s) <= limit_s))
+        starts, half_round, limit_s = all_starts[is_new], half_round[is_new], limit_s[is_new]
+        used = np.zeros(len(frames), dtype=np.bool_)
+        used[: len(self._used)] = self._used
         rows = np.full((len(starts), self._kinds), NO_FRAME)
         rows[:, self._start] = starts
         for other in range(self._kinds):
             if other != self._start:
-                rows[:, other] = self._same_count(np.flatnonzero(frames.kind == other), starts, group, frames.time_s)
+                free = np.flatnonzero((frames.kind == other) & ~used)
+                near = _nearest_alike(starts, free, group, frames.time_s, limit_s=limit_s)
+                # The nearest of each other: while the own frame of a sample has not come, another's is no stand-in.
+                is_own = _nearest_alike(near, starts, group, frames.time_s, limit_s=limit_s) == starts
+                good = is_own & (near != NO_FRAME) & (np.abs(near - starts) <= half_round * self._kinds)
+                rows[good, other] = near[good]
         settled = len(starts) if last else self._settled_by_counter(rows, frames)
         fresh = rows[min(self._done, settled) : settled]
         # Frames may still come that belong to a sample before; those given out already are remembered by their number.
         open_from = int(starts[settled]) if settled < len(starts) else len(frames)
         keep_from = len(frames) if last else max(0, open_from - _LATE_FRAMES)
         self._done = settled - int(np.searchsorted(starts[:settled], keep_from))
-        used = np.zeros(len(frames), dtype=np.bool_)
-        used[: len(self._used)] = self._used
         used[fresh[fresh != NO_FRAME]] = True
         self._used = used[keep_from:]
         gone = int(np.searchsorted(all_starts, keep_from))
         if gone:
-            self._start_before = int(group[all_starts[gone - 1]]), float(frames.time_s[all_starts[gone - 1]])
+            self._past = past.at(gone - 1)
         return Groups(fresh, int(np.count_nonzero(~used[:keep_from])), keep_from)
-
-    def _same_count(self, places: IntArray, starts: IntArray, group: IntArray, time_s: FloatArray) -> IntArray:
-        """Return for each start the nearest of ``places`` with its count, within the limit."""
-        found = np.full(len(starts), NO_FRAME)
-        if not len(places) or not len(starts):
-            return found
-        # One number that orders by count first and by place second.
-        span = int(max(places[-1], starts[-1])) + 1
-        key = np.sort(group[places] * span + places)
-        wanted = group[starts] * span + starts
-        at = np.searchsorted(key, wanted)
-        for side in (np.minimum(at, len(key) - 1), np.maximum(at - 1, 0)):
-            place = key[side] % span
-            good = (key[side] // span == group[starts]) & (np.abs(time_s[place] - time_s[starts]) <= self._limit_s)
-            nearer = good & ((found == NO_FRAME) | (np.abs(place - starts) < np.abs(found - starts)))
-            found = np.where(nearer, place, found)
-        return found
 
     def _settled_by_counter(self, rows: IntArray, frames: SampleFrames) -> int:
         if not len(rows):
@@ -275,6 +293,23 @@ class Assembler:
         # What was given out stays settled, even where its frames are gone.
         open_ones = open_ones[open_ones >= self._done]
         return int(open_ones[0]) if len(open_ones) else len(rows)
+
+
+def _nearest_alike(places: IntArray, others: IntArray, group: IntArray, time_s: FloatArray, *, limit_s: FloatArray) -> IntArray:
+    """Return for each of ``places`` the nearest of the others with its count, within its limit; else ``NO_FRAME``."""
+    found = np.full(len(places), NO_FRAME)
+    if not len(others) or not len(places):
+        return found
+    # One number that orders by count first and by place second.
+    span = int(max(others[-1], places.max())) + 1
+    key = np.sort(group[others] * span + others)
+    at = np.searchsorted(key, group[places] * span + places)
+    for side in (np.minimum(at, len(key) - 1), np.maximum(at - 1, 0)):
+        place = key[side] % span
+        good = (key[side] // span == group[places]) & (np.abs(time_s[place] - time_s[places]) <= limit_s)
+        nearer = good & ((found == NO_FRAME) | (np.abs(place - places) < np.abs(found - places)))
+        found = np.where(nearer, place, found)
+    return found
 
 
 def _frames_to_learn_from(frames: SampleFrames) -> int:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.statistics import remarks
-from imufield.samples import IntArray
+from imufield.samples import NO_COUNTER, IntArray, Status
 from tests.acquire.clock.test_can_clock import bursty, jitter, run
 from tests.told import told
 
@@ -139,3 +139,52 @@ def test_of_stamps_in_bursts_no_restart_that_loses_one_count_is_learned() -> Non
     kept = np.flatnonzero(~lost_at("the last for a minute"))
     _, statistics = run(bursty(kept / 100.0, 0.05), counter=kept % 15, modulus=15)
     assert statistics.lost == (np.diff(kept) - 1).sum()
+
+
+@pytest.mark.parametrize(
+    ("bits", "stood", "behind", "silent"),
+    [(16, 2999, 0, 1000), (16, 60000, 0, 1000), (16, 60000, 0, 0), (16, 100, 20000, 0), (8, 100, 0, 120), (8, 200, 0, 0)],
+)
+@pytest.mark.parametrize("block", [7, 8000])
+def test_an_instrument_that_begins_anew_lacks_what_the_stamps_show(
+    bits: int, stood: int, behind: int, silent: int, block: int
+) -> None:
+    n, number = 3000, np.arange(3000)
+    counter = np.concatenate([stood - n + 1 + number, behind + number]) % (1 << bits)
+    true_s = np.concatenate([number, n + silent + number]) / 100.0
+    samples, statistics = run(true_s + jitter(2 * n, 2e-4), counter=counter, modulus=1 << bits, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (0, silent)
+    assert np.flatnonzero(samples.status & np.uint32(Status.GAP_ESTIMATED)).tolist() == [n] * bool(silent)
+    np.testing.assert_allclose(samples.time_s, true_s, atol=1e-3)
+    # As many samples passed.
+    assert statistics.rate_hz == pytest.approx(100.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("block", [7, 8000])
+def test_a_frame_that_another_has_overtaken_is_no_restart(block: int) -> None:
+    counter = np.arange(3000)
+    counter[[500, 501, 900, 902]] = counter[[501, 500, 902, 900]]
+    samples, statistics = run(np.arange(3000) / 100.0, counter=counter, modulus=1 << 16, block=block)
+    assert statistics.losses_estimated == 0
+    np.testing.assert_allclose(samples.time_s, np.arange(3000) / 100.0, atol=0.05)
+
+
+@pytest.mark.parametrize(("bits", "lost"), [(4, 15), (4, 31), (8, 255), (2, 3)])
+def test_a_rate_has_in_it_what_a_loss_of_a_round_but_one_hides(bits: int, lost: int) -> None:
+    number = np.arange(6000)
+    number += lost * (number // 500)
+    _, statistics = run(number / 100.0, counter=number % (1 << bits), modulus=1 << bits)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (0, 11 * lost)
+    assert statistics.rate_hz == pytest.approx(100.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("block", [7, 8000])
+def test_a_counter_of_every_second_sample_tells_no_loss(seed: int, block: int) -> None:
+    rng = np.random.default_rng(seed)
+    number = np.flatnonzero(rng.random(2400) > 0.03)
+    counter = np.where((number % 2 == 0) & (rng.random(len(number)) > 0.03), number // 2 % 256, NO_COUNTER)
+    _, statistics = run(number / 200.0, counter=counter, modulus=256, block=block)
+    assert statistics.samples_lost == 0
+    assert statistics.losses_estimated == pytest.approx(number[-1] + 1 - len(number), abs=3)
+    assert told(remarks([statistics]), "statistics.no_count")

@@ -180,3 +180,26 @@ def test_by_counter_a_lost_round_is_no_copy(size: int) -> None:
     # The sample behind the gap has the count of the one before it.
     found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
     assert found == [[number, number] for kind, _, number in frames if kind == 0]
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("rule", "modulus", "late_s"),
+    [
+        # The file states eight bits, and the counter begins anew behind 14.
+        pytest.param(AssemblyRule(starts_with=0, by_counter=True, group_modulus=256), 15, 0.005, id="a shorter round"),
+        pytest.param(AssemblyRule(0, limit_s=0.2, by_counter=True, group_modulus=16), 16, 0.0003, id="a long limit"),
+        pytest.param(AssemblyRule(0, limit_s=0.2, by_counter=True), 16, 0.0003, id="a round that nobody states"),
+        pytest.param(AssemblyRule(starts_with=0, by_counter=True, group_modulus=4), 4, 0.0003, id="two bits"),
+    ],
+)
+@pytest.mark.parametrize("size", [1, 3, 2000])
+def test_by_counter_no_frame_serves_another_sample(
+    rule: AssemblyRule, modulus: int, late_s: float, size: int, lost: float
+) -> None:
+    rng = random.Random(1)
+    frames = [(kind, number * PERIOD_S + kind * late_s, number) for number in range(600) for kind in (0, 1)]
+    frames = [frame for frame in frames if rng.random() >= lost]
+    there = {(kind, number) for kind, _, number in frames}
+    found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=modulus)
+    assert found == [[number, number if (1, number) in there else None] for number in range(600) if (0, number) in there]
