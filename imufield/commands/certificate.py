@@ -47,6 +47,8 @@ def run_certificate(options: CertificateOptions) -> tuple[Path, ...]:
         issued=issue_date(),
         due_months=options.due_months,
     )
+    for note in filter(None, (parameters.edited_note, parameters.verdict_note)):
+        say(note, err=True)
     contents = _contents(certificate, with_pdf=options.pdf)
     # All before any is written: no page without its XML.
     for name in contents:

@@ -21,6 +21,8 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+_TEXT_ENDS = ("txt", "dat", "log")  # Of names of text, whatever stands in it.
+
 
 def run_export_data(options: ExportDataOptions) -> None:
     """Write one row per sample, flagged ones included.
@@ -60,7 +62,12 @@ def run_export_data(options: ExportDataOptions) -> None:
 
 
 def _format_of(path: Path | None) -> str:
-    """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none."""
+    """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none.
+
+    An end that is that of no format is returned as it is: nobody opens text as a spreadsheet of that name.
+    """
     name = "" if path is None else path.name.lower()
     fitting = [to for to, form in FORMATS.items() if name.endswith((f".{form.suffix}", f".{to}"))]
-    return max(fitting, key=lambda to: len(FORMATS[to].suffix), default="csv")
+    end = Path(name).suffix.removeprefix(".")
+    other = end if end.isalpha() and end not in _TEXT_ENDS else "csv"
+    return max(fitting, key=lambda to: len(FORMATS[to].suffix), default=other)

@@ -191,6 +191,8 @@ def test_matlab_and_every_export_again(tmp_path: Path, capsys: pytest.CaptureFix
         capsys.readouterr()
     wrong = ["export-data", str(tmp_path / "mine"), "--to", "ros1"]
     fails(wrong, 2, Reason.USAGE, "'ros1'", "csv: text", key="export_data.unknown_format")
+    wrong = ["export-data", str(tmp_path / "mine"), "-o", "samples.xlsx"]
+    fails(wrong, 2, Reason.USAGE, "'xlsx'", key="export_data.unknown_format")
 
 
 @pytest.mark.parametrize("suffix", HEADS)
