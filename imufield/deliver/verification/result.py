@@ -312,9 +312,10 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
     duration = duration_words(result.navigated_s)
     how = sentence("result.navigation", duration=duration, align_s=settings.align_s, heading=heading, turned=turned)
     yield from _wrapped(f"Static navigation: {how}")
-    yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
+    columns = f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}"
+    yield columns if forecast is None else f"{columns}  95 %"
     unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
-    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if forecast else ''}"
+    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if forecast else ''}".rstrip()
     for name, drift in result.drifts.items():
         yield f"  {name}"
         # Rows at six equal steps of time.
@@ -323,11 +324,12 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
             most = ""
             if forecast is not None and drift is result.tested:
                 most = f"{np.interp(drift.time_s[row], forecast.time_s, forecast.position_95_nmi):.3f}"
-            yield (
+            line = (
                 f"  {drift.time_s[row] / size_s:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
                 f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} "
                 f"{drift.position_nmi[row]:9.3f}  {most}"
             )
+            yield line.rstrip()
     for name, drift in result.drifts.items():
         yield f"  drift {name}: {drift.rate_nmi_per_h:.3f} nmi/h"
     if forecast is None:
