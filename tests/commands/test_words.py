@@ -149,10 +149,10 @@ def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
     parameters = str(solved_session / "parameters.toml")
     assert run(["apply", parameters, str(table), "-o", str(output)]) != 0
     assert "--rate-hz" in capsys.readouterr().err
-    table.write_text("Zeit [ms]," + table.read_text().replace("\n0", "\n7,0"))
+    table.write_text("Uhr [ms]," + table.read_text().replace("\n0", "\n7,0"))
     assert run(["apply", parameters, str(table), "-o", str(output), "--rate-hz", "50"]) == 0, capsys.readouterr().err
     # A time that nobody recognised is told, and how it is read.
-    assert not missing(capsys.readouterr().err, "Zeit [ms]", "--columns", "50 Hz")
+    assert not missing(capsys.readouterr().err, "Uhr [ms]", "--columns", "50 Hz")
     time_s = np.genfromtxt(output, delimiter=",", skip_header=1)[:, 0]
     assert np.diff(time_s) == pytest.approx(np.full(19, 0.02))
     assert run(["apply", parameters, str(solved_session), "-o", str(output), "--rate-hz", "50"]) == 2

@@ -207,7 +207,7 @@ def require_space(raw: FloatArray) -> None:
     distance = np.linalg.norm((others - centre) / np.maximum(np.ptp(others, axis=0), np.finfo(float).tiny), axis=1)
     is_circle = np.ptp(distance) < _ROUND * distance.max()
     if spread[axis] <= _DEAD * widest and not is_circle:
-        dead = {"axis": AXES[axis], "output": raw[0, axis], "spread": spread[axis], "widest": widest}
+        dead = {"axis": AXES[axis], "output": raw[0, axis], "spread": spread[axis], "limit": _DEAD * widest}
         raise CalibrationError(sentence("observability.dead_axis", **dead), Reason.SATURATED)
     if flatness < _FLATTEST:
         missing = AXES[int(np.argmax(np.abs(directions[2])))]
