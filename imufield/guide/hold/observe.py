@@ -24,7 +24,6 @@ References
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import NamedTuple
@@ -54,11 +53,12 @@ _FEWEST_BEYOND = 1e-15  # Share of the samples: none, as far as the rounding of 
 _MOST_BEYOND = 0.4999  # So many that rounding is nothing.
 # Of the fields of one observation that the solvers take as arrays.
 _SHAPES: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "gyroscope_rounding_raw", "gyroscope_noise_raw"), (3,)),
-    **dict.fromkeys(("direction", "middle_rad"), (3,)),
+    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "gyroscope_rounding_raw", "direction"), (3,)),
     **dict.fromkeys(("covariance_raw", "gyroscope_covariance_raw"), (3, 3)),
-    **dict.fromkeys(("start_s", "duration_s", "middle_s", "temperature_degc"), ()),
+    **dict.fromkeys(("start_s", "duration_s", "temperature_degc"), ()),
 }
+# Of a unit that is placed, what a ``HandMean`` has of one in the hand.
+_PLACED = {"gyroscope_noise_raw": np.full(3, np.nan), "middle_s": np.array(np.nan), "middle_rad": np.zeros(3)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,21 +78,6 @@ class Observation:
     output: HoldOutput
     hand_mean: HandMean | None = None
     """For a hold in the hand."""
-
-    @property
-    def gyroscope_noise_raw(self) -> FloatArray:
-        """As in ``Observations``."""
-        return np.full(3, np.nan) if self.hand_mean is None else self.hand_mean.gyroscope_noise_raw
-
-    @property
-    def middle_s(self) -> float:
-        """As in ``Observations``."""
-        return math.nan if self.hand_mean is None else self.hand_mean.middle_s
-
-    @property
-    def middle_rad(self) -> FloatArray:
-        """As in ``Observations``."""
-        return np.zeros(3) if self.hand_mean is None else self.hand_mean.middle_rad
 
 
 def stand_out(cells: Cells, limits: Limits) -> FloatArray:
@@ -267,4 +252,7 @@ def gather(observations: Sequence[Observation], units: SampleUnits) -> Observati
         name: np.array([getattr(observation, name) for observation in observations], dtype=np.float64).reshape(count, *shape)
         for name, shape in _SHAPES.items()
     }
+    for name, placed in _PLACED.items():
+        found = [getattr(observation.hand_mean, name, placed) for observation in observations]
+        arrays[name] = np.array(found, dtype=np.float64).reshape(count, *placed.shape)
     return Observations(name=tuple(observation.name for observation in observations), units=units, left_out=(), **arrays)
