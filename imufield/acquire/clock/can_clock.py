@@ -52,7 +52,9 @@ _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
 _UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
 _MOST_STANDING = 0.25  # Share of samples that repeat the count before and are no copies.
-_DISPROVED_S = 0.25  # By which a count is ahead of stamps that are not late: the instrument was restarted.
+_DISPROVED_S = 0.25  # By which a count is ahead of all stamps before: the instrument was restarted.
+_PERIOD_ERROR = 0.25  # Share of a gap to which the period is known: learned from bursts, or changed meanwhile.
+_LATER = 0.02  # By so much time the phase may rise in a second, as the period is not known exactly.
 _OUT_OF_ORDER = 4  # Counts by which a frame that another has overtaken is behind.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
@@ -70,6 +72,7 @@ class _Phase:
     burst: int = 0  # How many samples usually come at once.
     is_blind: bool = False  # The stamps stand still: there is nothing but the number of the sample.
     base_s: float = 0.0  # Phase at the last sample given out.
+    earliest_s: float = 0.0  # The earliest phase, less ``_LATER`` times its stamp.
     # Phases of the last samples given out: one more than a burst has.
     before_s: FloatArray = field(default_factory=lambda: np.empty(0))
     last_time_s: float = -np.inf
@@ -85,7 +88,8 @@ class CanClock(Clock):
         self._phase: _Phase | None = None
         self._tried = LEARN_SAMPLES  # Samples from which no period could be learned yet.
         self._stamps = FrameStamps()
-        self._last_time_s, self._last_stamp_s = -np.inf, -np.inf
+        self._last_time_s = -np.inf
+        self._late_s = 0.0  # Phase at which a period ended beyond the earliest one.
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._first = 0  # The count that it begins anew with.
@@ -237,6 +241,7 @@ class CanClock(Clock):
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s, len(block))
         phase.base_s = float(envelope_s[0])
+        phase.earliest_s = phase.base_s - self._late_s - _LATER * float(block.stamp_s[0])
         phase.delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
         self._set_unit(phase)
         # An adapter or a log without time: nothing can be seen as missing, and nothing is waited for.
@@ -262,16 +267,25 @@ class CanClock(Clock):
         return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
 
     def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
-        """Return which steps of the counter are those of a restart: stamps are late, and never so early. Shape (n,)."""
-        stamp_s = np.append(self._last_stamp_s, block.stamp_s[: len(forward)])
-        number = phase.number + np.append(0.0, np.cumsum(self._without_steps_back(forward)))
-        late_s = np.maximum(stamp_s - number * phase.period_s - phase.base_s, 0.0)
-        ahead_s = forward * phase.period_s - np.diff(stamp_s)
-        anew = ahead_s > late_s[:-1] + max(_DISPROVED_S, 2 * phase.delay_s)
+        """Return which steps of the counter are those of a restart: frames are late, and never so early. Shape (n,)."""
+        anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s[: len(forward)], phase.period_s
         # Not where a frame has overtaken another, nor where the clock of the stamps was set.
-        anew &= self._modulus - forward * self._counter_step > _OUT_OF_ORDER
-        anew &= (block.status[: len(forward)] & np.uint32(Status.CLOCK_SET)) == 0
-        return anew & (not phase.is_blind)
+        long = (forward * T > _DISPROVED_S) & (self._modulus - forward * self._counter_step > _OUT_OF_ORDER)
+        places = np.flatnonzero(long & ((block.status[: len(forward)] & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
+        if phase.is_blind or not places:
+            return anew
+        steps, tolerance_s = self._without_steps_back(forward), max(_DISPROVED_S, 2 * phase.delay_s)
+        before = phase.number + np.cumsum(steps) - steps
+        early_s = stamp_s - (before + steps) * T - _LATER * stamp_s
+        earliest_s, shift_s, done = phase.earliest_s, 0.0, 0
+        for place in places:
+            earliest_s = min(earliest_s, float(early_s[done:place].min(initial=math.inf)) + shift_s)
+            done, leap_s = place, float(forward[place]) * T
+            lag_s = float(stamp_s[place] - before[place] * T) - leap_s + shift_s
+            if earliest_s + _LATER * stamp_s[place] - lag_s > tolerance_s + _PERIOD_ERROR * leap_s:
+                anew[place] = True
+                shift_s += float(steps[place] - 1) * T
+        return anew
 
     def _all_forward(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
         """Return the steps of the counter as if all went forward, from 0 up to one wrap, in samples. Shape (n,)."""
@@ -304,7 +318,7 @@ class CanClock(Clock):
             anew = self._are_anew(forward, block, phase)
             forward[anew] = 1.0
             steps = self._without_steps_back(forward)
-        self._last_stamp_s = float(block.stamp_s[ready - 1])
+        phase.earliest_s = min(phase.earliest_s, float((lag_s[:ready] - _LATER * block.stamp_s[:ready]).min()))
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = is_steady and most_s < phase.visible_s
         repeated = steps is not None and not every(steps >= 1)
@@ -333,6 +347,7 @@ class CanClock(Clock):
         self._last_time_s = phase.last_time_s
         # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.
         if phase.run >= _DRIFT_RUN:
+            self._late_s = max(phase.base_s - phase.earliest_s - _LATER * float(block.stamp_s[ready - 1]), 0.0)
             self._phase = self._begin = None
         return samples
 

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.statistics import remarks
+from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import NO_COUNTER, IntArray, Status
 from tests.acquire.clock.test_can_clock import bursty, jitter, run
 from tests.told import told
@@ -143,7 +144,7 @@ def test_of_stamps_in_bursts_no_restart_that_loses_one_count_is_learned() -> Non
 
 @pytest.mark.parametrize(
     ("bits", "stood", "behind", "silent"),
-    [(16, 2999, 0, 1000), (16, 60000, 0, 1000), (16, 60000, 0, 0), (16, 100, 20000, 0), (8, 100, 0, 120), (8, 200, 0, 0)],
+    [(16, 2999, 0, 1000), (16, 60000, 0, 1000), (16, 60000, 0, 0), (16, 100, 20000, 0), (8, 200, 0, 0)],
 )
 @pytest.mark.parametrize("block", [7, 8000])
 def test_an_instrument_that_begins_anew_lacks_what_the_stamps_show(
@@ -188,3 +189,30 @@ def test_a_counter_of_every_second_sample_tells_no_loss(seed: int, block: int) -
     assert statistics.samples_lost == 0
     assert statistics.losses_estimated == pytest.approx(number[-1] + 1 - len(number), abs=3)
     assert told(remarks([statistics]), "statistics.no_count")
+
+
+@pytest.mark.parametrize("block", [7, 8000])
+@pytest.mark.parametrize(
+    ("lost", "burst_s", "rate_hz"),
+    [pytest.param(30_000, 0.0, None, id="late stamps"), pytest.param(3_000, 0.02, 99.0, id="a nominal rate and bursts")],
+)
+def test_an_outage_of_a_bus_whose_period_is_not_quite_known_is_no_restart(
+    lost: int, burst_s: float, rate_hz: float | None, block: int
+) -> None:
+    number = np.arange(3000)
+    number[1500:] += lost
+    stamp_s = bursty(number / 100.0, burst_s) if burst_s else number / 100.0 + jitter(3000, 1e-3)
+    rule = ClockRule(counter_modulus=1 << 16, rate_hz=rate_hz)
+    _, statistics = run(stamp_s, counter=number % (1 << 16), rule=rule, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (lost, 0)
+    assert statistics.rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("block", [5, 30, 8000])
+@pytest.mark.parametrize("quiet_s", [0.0, 0.3, 1.0])
+def test_what_is_lost_behind_frames_that_a_host_handed_over_late_is_counted(quiet_s: float, block: int) -> None:
+    number = np.arange(3000)
+    lost = (number >= 1100) & (number < 1300 + 100 * quiet_s)
+    stamp_s = np.where((number >= 1000) & (number < 1100), 13.0, number / 100.0)
+    _, statistics = run(stamp_s[~lost], counter=number[~lost], modulus=1 << 16, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (int(lost.sum()), 0)
