@@ -78,7 +78,7 @@ class Reading:
     def between(self, observations: Observations) -> Moves:
         """Return the moves between the observed stills, and those between whole turns."""
         stills = observations if self.rests is None else join_observations(observations, self.rests)
-        return cut_moves(self.slots, *stills.between_moves_s, self.ends_raw, self.resumed_s)
+        return cut_moves(self.slots, stills.start_s, stills.duration_s, self.ends_raw, self.resumed_s, middle_s=stills.middle_s)
 
 
 class ReadingCollector:
@@ -114,7 +114,7 @@ class ReadingCollector:
             self._take()
         if self._moves is None:
             return no_slots(), np.full((2, 3), np.nan)
-        return self._moves.joined_slots(*stills.between_moves_s), self._moves.ends
+        return self._moves.joined_slots(stills.start_s, stills.duration_s, stills.middle_s), self._moves.ends
 
     def _take(self) -> None:
         samples = concatenate(self._waiting)

@@ -78,12 +78,6 @@ class Observations:
         return Observations(name=name, units=self.units, left_out=self.left_out, **arrays)
 
     @property
-    def between_moves_s(self) -> tuple[FloatArray, FloatArray]:
-        """Begin and duration of what lies between the moves, shape (m,) each."""
-        held = np.isfinite(self.middle_s)
-        return np.where(held, self.middle_s, self.start_s), np.where(held, 0.0, self.duration_s)
-
-    @property
     def gyroscope_unrounded_covariance(self) -> FloatArray:
         """The covariance of each gyroscope mean without what rounding leaves in it, shape (m, 3, 3)."""
         return np.asarray(self.gyroscope_covariance_raw - self.gyroscope_rounding_raw[:, :, None] ** 2 * np.eye(3))

@@ -62,6 +62,7 @@ _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like m
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
 _BRIDGED_S = 0.03  # Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad.
+_BRIDGED_IN_HAND_S = 0.3  # The same within a hold in the hand, with the cell that it is in: sway is slow.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples.
 _LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
 _INTERRUPTED_S = 1.0  # A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out.
@@ -72,7 +73,7 @@ _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays
 _SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
 
 
-def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) -> FloatArray:
+def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
     """Return begin and end of each still, stretched, shape (s, 2).
 
     Parameters
@@ -81,13 +82,15 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) 
         Begin of each cell of the session and ``slot_sums`` in it, in time order.
     stills : ndarray, shape (s, 2)
         Begin and end, in time order.
+    held : ndarray of bool, shape (s,)
+        Which of them are of a unit in the hand; they stay as they are.
     """
     cells = sums[:, 1:] / np.maximum(sums[:, :1], SHORTEST_SLOT_S)
     low = np.searchsorted(cell_s, stills[:, 0])
     high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
     stretched = stills.copy()
     for k in range(len(stills)):
-        if high[k] - low[k] < _FEWEST:
+        if held[k] or high[k] - low[k] < _FEWEST:
             continue
         before = int(high[k - 1]) if k else 0
         after = int(low[k + 1]) if k + 1 < len(stills) else len(cell_s)
@@ -260,7 +263,7 @@ class MoveCollector:
         """Return the slots of all samples so far."""
         return stack_slots(self._all() or [no_slots()])
 
-    def joined_slots(self, start_s: FloatArray, duration_s: FloatArray) -> Slots:
+    def joined_slots(self, start_s: FloatArray, duration_s: FloatArray, middle_s: FloatArray | None = None) -> Slots:
         """Return the same with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same.
 
         Still intervals are given as to ``finish``. Some parts are joined at a time: all slots at once are as much memory again.
@@ -276,8 +279,9 @@ class MoveCollector:
         ]
         in_parts = [sum_cells(part.start_s, slot_sums(part)) for part in rising]
         cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_parts, strict=True)))
-        stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
-        stills = stretch_stills(cell_s, sums, stills=stills)
+        order = np.argsort(start_s, kind="stable")
+        stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
+        stills = stretch_stills(cell_s, sums, stills=stills, held=np.isfinite(_middles(middle_s, order)))
         # The last still that begins before each cell: whole cells of it are joined.
         still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
@@ -287,9 +291,10 @@ class MoveCollector:
         # Where a group ended in the middle of a cell.
         return joined[0] if len(joined) == 1 else _join_cells(stack_slots(joined), cell_s, inside)
 
-    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
-        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
-        return cut_moves(self.joined_slots(start_s, duration_s), start_s, duration_s, self.ends)
+    def finish(self, start_s: FloatArray, duration_s: FloatArray, middle_s: FloatArray | None = None) -> Moves:
+        """Return the moves between still intervals (sample clock, shape (s,), in any order); see ``cut_moves``."""
+        slots = self.joined_slots(start_s, duration_s, middle_s)
+        return cut_moves(slots, start_s, duration_s, self.ends, middle_s=middle_s)
 
     @property
     def ends(self) -> FloatArray:
@@ -424,27 +429,32 @@ def cut_moves(
     duration_s: FloatArray,
     ends: FloatArray | float = np.nan,
     resumed_s: FloatArray | None = None,
+    *,
+    middle_s: FloatArray | None = None,
 ) -> Moves:
     """Cut slots at still intervals; ``ends`` are those of the range of the outputs, shape (2, 3), NaN where it has none.
 
-    Before an operator went on with the session, the last samples have the times ``resumed_s``, shape (k,).
+    Before an operator went on with the session, the last samples have the times ``resumed_s``, shape (k,). A unit in the hand
+    sways: moves begin and end at ``middle_s``, shape (s,), NaN for one that lies still.
     """
     # Means that somebody else averaged have no time: nothing is known of what lies between them.
     order = np.argsort(start_s, kind="stable") if np.isfinite(start_s).all() else np.empty(0, dtype=np.int64)
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s, pauses_s = np.maximum.accumulate(slots.start_s), np.empty(0) if resumed_s is None else resumed_s
-    stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
+    stills, middles = np.stack([start_s, start_s + duration_s], axis=1)[order], _middles(middle_s, order)
+    held = np.isfinite(middles)
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
         rate = slots.turn / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
         ends = without_table_rates(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
-        stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
+        stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills, held=held)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
-        begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
+        between = (float(stills[k, 1]), float(stills[k + 1, 0]))
+        begin, end = (float(middles[at]) if held[at] else side for at, side in zip((k, k + 1), between, strict=True))
         low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
-        fault = _fault(slots[low:high], begin, end, ends)
+        fault = _fault(slots[low:high], begin, end, ends, between=between)
         # Where the operator had stopped there is nothing to check.
         if fault and fault.key == "moves.interrupted" and np.any((pauses_s >= begin - CELL_S) & (pauses_s <= end)):
             fault = sentence("moves.resumed", **fault.values)
@@ -465,6 +475,10 @@ def cut_moves(
     )
 
 
+def _middles(middle_s: FloatArray | None, order: IntArray) -> FloatArray:
+    return np.full(len(order), np.nan) if middle_s is None else middle_s[order]
+
+
 def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> Slots:
     """Return slots with those in some of the cells, which begin at ``cell_s``, joined."""
     starts = _run_starts(cell := _interval_of(slots.start_s, CELL_S))
@@ -478,8 +492,10 @@ def _join_runs(slots: Slots, starts: IntArray, which: NDArray[np.bool_]) -> Slot
     return join_slots(slots, np.flatnonzero(keep))
 
 
-def _fault(slots: Slots, begin: float, end: float, ends: FloatArray | float) -> Sentence | None:
-    """Return why a move cannot be used, None if it can."""
+def _fault(
+    slots: Slots, begin: float, end: float, ends: FloatArray | float, *, between: tuple[float, float]
+) -> Sentence | None:
+    """Return why a move cannot be used, None if it can; outside ``between`` a hand holds the unit."""
     span = {"begin_s": begin, "end_s": end}
     if end - begin > _LONGEST_MOVE_S:
         return sentence("moves.too_long", longest_s=_LONGEST_MOVE_S, **span)
@@ -489,8 +505,11 @@ def _fault(slots: Slots, begin: float, end: float, ends: FloatArray | float) -> 
     covered = float(slots.duration_s.sum())
     if flags & SlotFlag.CLOCK_JUMP:
         return sentence("moves.clock_jump", **span)
-    hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
-    if flags & SlotFlag.LOST or covered < end - begin - _BRIDGED_S - CELL_S:
+    in_hold = (slots.start_s < between[0]) | (slots.start_s >= between[1])
+    is_lost = (slots.flags & np.uint8(SlotFlag.LOST)) != 0
+    is_lost &= ~in_hold | (slots.duration_s > _BRIDGED_IN_HAND_S)
+    hole_s = float(slots.duration_s[is_lost].sum())
+    if hole_s or covered < end - begin - _BRIDGED_S - CELL_S:
         missing_s = max(hole_s, end - begin - covered)
         key = "moves.interrupted" if missing_s >= _INTERRUPTED_S else "moves.lost_samples"
         return sentence(key, missing_s=missing_s, bridged_s=_BRIDGED_S, intervals=_BRIDGED_INTERVALS, **span)

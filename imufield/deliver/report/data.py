@@ -74,6 +74,9 @@ def with_gyroscope(file: Observations, reading: Observations) -> Observations:
         gyroscope_mean_raw=np.where(found[:, None], mean, np.nan),
         gyroscope_covariance_raw=np.where(found[:, None, None], covariance, np.nan),
         gyroscope_rounding_raw=np.where(found[:, None], reading.gyroscope_rounding_raw[row], 0.0),
+        gyroscope_noise_raw=np.where(found[:, None], reading.gyroscope_noise_raw[row], np.nan),
+        middle_s=np.where(found, reading.middle_s[row], np.nan),
+        middle_rad=np.where(found[:, None], reading.middle_rad[row], 0.0),
         units=reading.units,
     )
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+
+from imufield.calibrate.model.observations import ROUNDING
 from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
 from imufield.guide.hold.observe import knocks_of
 from imufield.guide.stillness.cells import Cells, cells_in
@@ -77,4 +80,8 @@ def measure_in_hand(cells: Cells, history: SampleHistory, detector: StillnessDet
     if samples is None or samples.time_s[0] >= cells.end_s[0] or detector.floor is None:
         return None
     density = detector.floor.cell_sigma * math.sqrt(CELL_S)
+    # What is rounded to one code on a table is not in the hand.
+    step = cells.step[:, 3:].min(axis=0)
+    rounding = ROUNDING * np.where(np.isfinite(step), step, 0.0) * math.sqrt(CELL_S / detector.floor.samples_per_cell)
+    density = np.append(density[:3], np.maximum(density[3:], rounding))
     return mean_in_hand(samples, detector.scale, density, knocks_of(cells, detector.limits))

@@ -173,7 +173,7 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
 def moves_of(observations: Observations, collector: MoveCollector, gravity: Gravity, latitude_deg: float) -> GyroscopeInput:
     """Return what the gyroscope is calibrated from, the accelerometer calibrated."""
     calibration = calibrate_accelerometer(observations, gravity)
-    moves = collector.finish(*observations.between_moves_s)
+    moves = collector.finish(observations.start_s, observations.duration_s, observations.middle_s)
     return GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=latitude_deg)
 
 
