@@ -219,8 +219,10 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     moves = len(given.moves)
     # The same number in all moves is what no rotating gyroscope gives.
     slots = given.moves.slots
-    rate_raw = (slots.turn.T / slots.duration_s)[:, slots.duration_s > SHORTEST_SLOT_S]
-    dead = np.ptp(rate_raw, axis=1) <= _CONSTANT * np.maximum(np.abs(rate_raw).max(axis=1), np.finfo(float).tiny)
+    slots = slots[np.flatnonzero(slots.duration_s > SHORTEST_SLOT_S)]
+    rate_raw = slots.turn / slots.duration_s[:, None]
+    low, high = rate_raw.min(axis=0, initial=np.inf), rate_raw.max(axis=0, initial=-np.inf)
+    dead = high - low <= _CONSTANT * np.maximum(np.abs(rate_raw).max(axis=0, initial=0.0), np.finfo(float).tiny)
     if dead.any():
         axes = ", ".join(axis for axis, is_dead in zip(AXES, dead, strict=True) if is_dead)
         raise CalibrationError(sentence("input.constant", axes=axes, moves=moves), Reason.SATURATED)
