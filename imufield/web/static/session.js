@@ -51,6 +51,7 @@ export class SessionView {
     /** @type {(action: string, values: any) => Promise<void>} */
     this.begin = async () => {};
     this.wasUnderWay = false;
+    this.refreshed = 0;
     at("report").addEventListener("submit", (/** @type {Event} */ event) => this.report(event));
     at("export").addEventListener("submit", (/** @type {Event} */ event) => this.export(event));
     at("targets").addEventListener("change", () => this.showAsked());
@@ -77,11 +78,13 @@ export class SessionView {
   /** Show what its folder holds now, whoever made it. @param {boolean} isOther whether its parameters may be others */
   async refresh(isOther = true) {
     const name = this.name;
+    const number = ++this.refreshed;
     try {
       const listed = (await this.bench.found("sessions")).sessions;
       const row = listed.find((/** @type {any} */ each) => this.bench.below(each.folder) === name) ?? null;
       const found = row && !row.leads_to ? await this.bench.ask({ session: name }) : EMPTY;
-      if (name !== this.name) return;
+      // What was asked before a file was made may be answered later.
+      if (name !== this.name || (number !== this.refreshed && !isOther)) return;
       this.row = row;
       this.found = found;
       this.showState();
