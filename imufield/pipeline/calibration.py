@@ -26,7 +26,8 @@ from imufield.calibrate.model.result import (
     PositionResult,
     without_drift,
 )
-from imufield.calibrate.moves.moves import Moves, cut_moves, no_slots
+from imufield.calibrate.moves.moves import Moves, cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words

@@ -23,7 +23,7 @@ import numpy as np
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.moves.moves import Slots
+from imufield.calibrate.moves.slots import Slots
 from imufield.dataclass import fields, is_dataclass
 from imufield.deliver.report.trace import TraceCells
 from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically

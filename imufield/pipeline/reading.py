@@ -8,7 +8,8 @@ import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.moves.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
+from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves
+from imufield.calibrate.moves.slots import Slots, no_slots
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import VERTICAL, Event, LinkLost, Rejected, Turned

@@ -18,7 +18,8 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.rotation import conjugate, logarithm, multiply
-from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.calibrate.solvers.triad_costs import TurnsProblem
 from imufield.earth import Gravity
 from imufield.guide.lead.unguided import StillIntervalFinder

@@ -266,12 +266,19 @@ class CanClock(Clock):
         # More than half a round forward is a step back: frames out of order, or a restart.
         return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
 
+    def _followed(self, block: RawBlock, phase: _Phase, *, remember: bool = False) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the steps as ``_all_forward``, 1 where the counter began anew, and where that was."""
+        forward = self._all_forward(block.counter, remember=remember)
+        anew = self._are_anew(forward, block, phase)
+        forward[anew] = 1.0
+        return forward, anew
+
     def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
         """Return which steps of the counter are those of a restart: frames are late, and never so early. Shape (n,)."""
-        anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s[: len(forward)], phase.period_s
+        anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s, phase.period_s
         # Not where a frame has overtaken another, nor where the clock of the stamps was set.
         long = (forward * T > _DISPROVED_S) & (self._modulus - forward * self._counter_step > _OUT_OF_ORDER)
-        places = np.flatnonzero(long & ((block.status[: len(forward)] & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
+        places = np.flatnonzero(long & ((block.status & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
         if phase.is_blind or not places:
             return anew
         steps, tolerance_s = self._without_steps_back(forward), max(_DISPROVED_S, 2 * phase.delay_s)
@@ -312,11 +319,9 @@ class CanClock(Clock):
             ready = _until_rate_changes(moved_s, phase)
             envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
-        forward = None if self._last_counter is None else self._all_forward(block.counter[:ready], remember=True)
-        steps, anew = None, np.zeros(ready, dtype=np.bool_)
-        if forward is not None:
-            anew = self._are_anew(forward, block, phase)
-            forward[anew] = 1.0
+        forward, steps, anew = None, None, np.zeros(ready, dtype=np.bool_)
+        if self._last_counter is not None:
+            forward, anew = self._followed(block[:ready], phase, remember=True)
             steps = self._without_steps_back(forward)
         phase.earliest_s = min(phase.earliest_s, float((lag_s[:ready] - _LATER * block.stamp_s[:ready]).min()))
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
@@ -355,8 +360,7 @@ class CanClock(Clock):
         """Return the numbers of all samples of the block; what is not ready is counted again in the next call."""
         if self._last_counter is None:
             return np.arange(phase.number + 1, phase.number + len(block) + 0.5)
-        forward = self._all_forward(block.counter)
-        forward[self._are_anew(forward, block, phase)] = 1.0
+        forward, _ = self._followed(block, phase)
         return np.asarray(phase.number + np.cumsum(self._without_steps_back(forward)))
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:

@@ -22,7 +22,8 @@ from imufield.calibrate.model.result import (
     GyroscopeParameters,
 )
 from imufield.calibrate.model.rotation import exponential, rotate
-from imufield.calibrate.moves.moves import SHORTEST_SLOT_S, Moves
+from imufield.calibrate.moves.moves import Moves
+from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median

@@ -50,7 +50,7 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, distinguishing_digits
-from imufield.calibrate.moves.moves import SHORTEST_SLOT_S
+from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray

@@ -4,7 +4,7 @@ The gyroscope's inverse model is linear in its parameters: with ``n = N - N0`` (
 
     w = A n - b - H a,        A = (K E)^-1,  b = A (e - N0),  H = A G
 
-so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with
+so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``slots``), and with
 ``W_k`` the matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
 
     d turn = sum_k W_k (dA turn_k - db T_k - dH velocity_k),    W_k = R^T V_k,    V_k = R_k Jr_k
@@ -31,7 +31,8 @@ from imufield.calibrate.model.rotation import (
     signed_permutations,
     skew,
 )
-from imufield.calibrate.moves.moves import SHORTEST_SLOT_S, Moves
+from imufield.calibrate.moves.moves import Moves
+from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray, IntArray, median
 
@@ -111,7 +112,7 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     slots, T, M = moves.slots, moves.slots.duration_s, np.linalg.inv(A)
     # Arrays have a row for each component: NumPy's loops along them are long.
     turn, force = slots.turn.T, slots.force.T
-    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
+    # cof(A) = det(A) A^-T, see slots: A x x A y = cof(A) (x x y)
     coning = 0.5 * np.linalg.det(A) * M.T @ (slots.area.T - skew(M @ b) @ (T * turn - 2 * slots.moment.T))
     by_rate = (np.abs(turn), turn * (turn / np.maximum(T, SHORTEST_SLOT_S)) ** 2)
     # Rows: turn 0 to 2, force 3 to 5, duration 6, coning 7 to 9, what goes with the rate 10 to 15.

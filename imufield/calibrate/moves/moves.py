@@ -1,36 +1,17 @@
-"""Moves between still positions, as compact sums that a stream can produce in bounded memory.
-
-The gyroscope has to be integrated with parameters that are not known yet, again and again while they are fitted. Keeping
-every sample would do; keeping integrals over short slots (5 ms) is as good and does not grow with the sample rate. With raw
-output ``N(t)`` over a slot of duration ``T``, ``alpha(t)`` its integral from the start of the slot::
-
-    turn    alpha(T)                          moment   integral of alpha dt
-    force   integral of the accelerometer     area     integral of alpha x N dt
-
-For *any* linear model ``w = A (N - e)`` the rotation vector of the slot is, to second order [1]_,
-
-    A (turn - e T) + 1/2 cof(A) (area + (T turn - 2 moment) x e),    cof(A) = det(A) A^-T
-
-because ``A x  x  A y = cof(A) (x x y)``. The second term is coning. What is left out is of third order: 1e-8 rad a slot for a
-hand at 4 rad/s. Neighbouring slots join exactly in the same order (``join_slots``), so quiet stretches of a long recording are
-kept as slots of 0.1 s.
+"""Moves between still positions, as compact sums (``slots``) that a stream can produce in bounded memory.
 
 Between two samples the output is taken as the first sample's value for half of the time and the second's for the other half:
 for samples that are the mean turn over their own interval, or increments, the product of their turns is then exact. Where
-samples were lost, the straight line between their neighbours bridges up to 30 ms; longer losses drop the move.
+samples were lost, the straight line between their neighbours bridges up to 30 ms; longer losses drop the move, except
+within a hold in the hand, in whose middle moves begin and end.
 
 Where a still ends: an observation stops counting after a while, and guard bands are cut off. For a move every second at rest
 adds a second of noise and nothing else, so the stills are stretched: cells of 0.1 s before and after are compared with those
 inside, and belong to the still as long as both triads stay within a few of its standard deviations.
-
-References
-----------
-.. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", IEEE Trans. AES-7(1), 1971.
 """
 
 from __future__ import annotations
 
-from enum import IntFlag
 from itertools import pairwise
 
 import numpy as np
@@ -38,7 +19,22 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
 from imufield.calibrate.moves.range_ends import LargestOutputs, without_table_rates
-from imufield.dataclass import dataclass, fields, replace
+from imufield.calibrate.moves.slots import (
+    PLATEAU,
+    SHORTEST_SLOT_S,
+    SLOT_MARGIN,
+    SlotFlag,
+    Slots,
+    interval_of,
+    join_cells,
+    join_runs,
+    no_slots,
+    run_starts,
+    slot_sums,
+    stack_slots,
+    sum_cells,
+)
+from imufield.dataclass import dataclass, replace
 from imufield.samples import (
     CELL_S,
     LARGEST_OUTPUT,
@@ -54,23 +50,19 @@ from imufield.samples import (
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
-SHORTEST_SLOT_S = 1e-9
-"""Instead of nothing, for a slot of a clock that stood."""
 
 _GUARD_CELLS = 10  # Kept between the stretched still and what looks like motion.
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
 _BRIDGED_S = 0.03  # Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad.
-_BRIDGED_IN_HAND_S = 0.3  # The same within a hold in the hand, with the cell that it is in: sway is slow.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples.
+_BRIDGED_IN_HAND_S = 0.3  # Within a hold in the hand, with the cell that the loss is in: sway is slow.
 _LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
 _INTERRUPTED_S = 1.0  # A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out.
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
-_PLATEAU = 4  # Equal values in a row at an end of the range that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
-_SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
 
 
 def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
@@ -110,109 +102,11 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, 
     return stretched
 
 
-class SlotFlag(IntFlag):
-    """What happened in a slot."""
-
-    BRIDGED = 1
-    LOST = 2
-    CLOCK_JUMP = 4
-    SATURATED = 8
-    INVALID = 16
-
-
 # What the status of a sample says of the intervals beside it.
 _OF_STATUS = {
     Status.GYROSCOPE_SATURATED: SlotFlag.SATURATED,
     Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT: SlotFlag.INVALID,
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Slots:
-    """Integrals over k short slots, in time order; raw rates, see the module.
-
-    Attributes
-    ----------
-    start_s, duration_s : ndarray, shape (k,)
-    turn, moment, area, force : ndarray, shape (k, 3)
-    bridge : ndarray, shape (k,)
-        Variance of the turn that bridged losses leave, raw unit squared.
-    flags : ndarray of uint8, shape (k,)
-        ``SlotFlag``.
-    plateau : ndarray, shape (k, 3)
-        Output that repeated itself ``_PLATEAU`` times; NaN where none did.
-    """
-
-    start_s: FloatArray
-    duration_s: FloatArray
-    turn: FloatArray
-    moment: FloatArray
-    area: FloatArray
-    force: FloatArray
-    bridge: FloatArray
-    flags: NDArray[np.uint8]
-    plateau: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.start_s)
-
-    def __getitem__(self, rows: slice | IntArray | NDArray[np.bool_]) -> Slots:
-        return Slots(**{name: getattr(self, name)[rows] for name in _SLOT_FIELDS})
-
-
-_SLOT_FIELDS = tuple(field.name for field in fields(Slots))
-
-
-def stack_slots(parts: list[Slots]) -> Slots:
-    """Put slots one after the other; at least one part is needed."""
-    if len(parts) == 1:
-        return parts[0]
-    return Slots(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _SLOT_FIELDS})
-
-
-def no_slots() -> Slots:
-    """Return zero slots."""
-    vectors = ("turn", "moment", "area", "force", "plateau")
-    arrays = {name: np.empty((0, 3) if name in vectors else 0) for name in _SLOT_FIELDS if name != "flags"}
-    return Slots(flags=np.empty(0, np.uint8), **arrays)
-
-
-def join_slots(slots: Slots, starts: IntArray) -> Slots:
-    """Join each run of slots that begins at one of ``starts`` into one slot, exactly to second order."""
-    length = np.diff(np.append(starts, len(slots)))
-    before = np.cumsum(slots.turn, axis=0) - slots.turn
-    before -= np.repeat(before[starts], length, axis=0)
-    moment = slots.moment + before * slots.duration_s[:, None]
-    area = slots.area + cross(before, slots.turn)
-    sums = {"duration_s": slots.duration_s, "turn": slots.turn, "moment": moment, "area": area, "force": slots.force}
-    return Slots(
-        start_s=slots.start_s[starts],
-        **{name: np.add.reduceat(values, starts, axis=0) for name, values in sums.items()},
-        bridge=np.add.reduceat(slots.bridge, starts),
-        flags=np.bitwise_or.reduceat(slots.flags, starts),
-        plateau=np.fmax.reduceat(slots.plateau, starts, axis=0),
-    )
-
-
-def slot_sums(slots: Slots) -> FloatArray:
-    """Return duration, turn and force of each slot, shape (k, 7): what cells are made of."""
-    return np.column_stack([slots.duration_s, slots.turn, slots.force])
-
-
-def sum_cells(start_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return begin and sums of the cells that rows in time order belong to, of slots or of parts of cells."""
-    starts = _run_starts(_interval_of(start_s, CELL_S))
-    return start_s[starts], np.add.reduceat(sums, starts)
-
-
-def _interval_of(time_s: FloatArray, width_s: float) -> IntArray:
-    """Return the numbers of the slots or cells, of this width, that hold some times."""
-    return np.asarray(np.floor(time_s / width_s + _SLOT_MARGIN).astype(np.int64))
-
-
-def _run_starts(number: IntArray) -> IntArray:
-    """Return where runs of one number begin, the first included."""
-    return np.append(0, np.flatnonzero(number[1:] != number[:-1]) + 1)
 
 
 class MoveCollector:
@@ -283,13 +177,13 @@ class MoveCollector:
         stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
         stills = stretch_stills(cell_s, sums, stills=stills, held=np.isfinite(_middles(middle_s, order)))
         # The last still that begins before each cell: whole cells of it are joined.
-        still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
+        still = np.searchsorted(stills[:, 0], cell_s + SLOT_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
-        inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
+        inside = (still >= 0) & (next_s <= stills[still, 1] + SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
         groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
-        joined = [_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)]
+        joined = [join_cells(group, cell_s, inside) for group in map(stack_slots, groups)]
         # Where a group ended in the middle of a cell.
-        return joined[0] if len(joined) == 1 else _join_cells(stack_slots(joined), cell_s, inside)
+        return joined[0] if len(joined) == 1 else join_cells(stack_slots(joined), cell_s, inside)
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray, middle_s: FloatArray | None = None) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order); see ``cut_moves``."""
@@ -309,7 +203,7 @@ class MoveCollector:
 
     def _slot_starts(self, samples: Samples) -> IntArray:
         """Return in which of the intervals between the samples a slot begins, the first included."""
-        return _run_starts(_interval_of(samples.time_s[:-1], SLOT_S))
+        return run_starts(interval_of(samples.time_s[:-1], SLOT_S))
 
     def _measure(self, samples: Samples, starts: IntArray) -> Slots:
         """Return the slots that begin at ``starts`` of n intervals between n + 1 samples."""
@@ -370,16 +264,16 @@ class MoveCollector:
         last_change = np.maximum.accumulate(np.where(np.diff(N, axis=1) == 0, 0, place), axis=1)
         run = place - last_change + np.where(last_change == 0, self._flat[:, None], 0)
         self._flat = run[:, -1]
-        return np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[:, 1:], np.nan), starts, axis=1).T
+        return np.fmax.reduceat(np.where(run >= PLATEAU - 1, N[:, 1:], np.nan), starts, axis=1).T
 
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
         slots = stack_slots(self._parts)
-        cell_starts = _run_starts(_interval_of(slots.start_s, CELL_S))
+        cell_starts = run_starts(interval_of(slots.start_s, CELL_S))
         rate = slots.turn / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
         quiet = swing <= 2 * median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
-        joined = _join_runs(slots, cell_starts, quiet)
+        joined = join_runs(slots, cell_starts, quiet)
         self._parts, self._count = [joined], len(joined)
         self._compact_at = max(_COMPACT_AT, 2 * self._count)
 
@@ -453,7 +347,7 @@ def cut_moves(
     for k, (before, after) in enumerate(pairwise(order)):
         between = (float(stills[k, 1]), float(stills[k + 1, 0]))
         begin, end = (float(middles[at]) if held[at] else side for at, side in zip((k, k + 1), between, strict=True))
-        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
+        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - SLOT_MARGIN, end - SLOT_MARGIN]))
         fault = _fault(slots[low:high], begin, end, ends, between=between)
         # Where the operator had stopped there is nothing to check.
         if fault and fault.key == "moves.interrupted" and np.any((pauses_s >= begin - CELL_S) & (pauses_s <= end)):
@@ -477,19 +371,6 @@ def cut_moves(
 
 def _middles(middle_s: FloatArray | None, order: IntArray) -> FloatArray:
     return np.full(len(order), np.nan) if middle_s is None else middle_s[order]
-
-
-def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> Slots:
-    """Return slots with those in some of the cells, which begin at ``cell_s``, joined."""
-    starts = _run_starts(cell := _interval_of(slots.start_s, CELL_S))
-    return _join_runs(slots, starts, which[np.searchsorted(_interval_of(cell_s, CELL_S), cell[starts])])
-
-
-def _join_runs(slots: Slots, starts: IntArray, which: NDArray[np.bool_]) -> Slots:
-    """Return slots with some of the runs that begin at ``starts`` joined."""
-    keep = ~np.repeat(which, np.diff(np.append(starts, len(slots))))
-    keep[starts] = True
-    return join_slots(slots, np.flatnonzero(keep))
 
 
 def _fault(

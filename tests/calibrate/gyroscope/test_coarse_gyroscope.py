@@ -7,7 +7,8 @@ import pytest
 from gyroscope_sessions import Session, ratios, simulate
 
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
-from imufield.calibrate.moves.moves import cut_moves, no_slots
+from imufield.calibrate.moves.moves import cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.dataclass import replace
 from imufield.simulate.truth.grades import GRADES
 

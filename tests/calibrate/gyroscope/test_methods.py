@@ -15,7 +15,8 @@ from imufield.calibrate.gyroscope.result import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import GyroscopeParameters
-from imufield.calibrate.moves.moves import cut_moves, no_slots
+from imufield.calibrate.moves.moves import cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
 from tests.refused import refused

@@ -19,7 +19,8 @@ from imufield.calibrate.gyroscope.result import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.grades import GRADES
-from imufield.calibrate.moves.moves import cut_moves, no_slots
+from imufield.calibrate.moves.moves import cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.samples import FloatArray
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.imu import ImuSettings

@@ -14,7 +14,8 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.result import static_bias_result
 from imufield.calibrate.gyroscope.stills_alone import static_bias
 from imufield.calibrate.model.budget import combined_sigma
-from imufield.calibrate.moves.moves import cut_moves, no_slots
+from imufield.calibrate.moves.moves import cut_moves
+from imufield.calibrate.moves.slots import no_slots
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray

@@ -10,7 +10,8 @@ from gyroscope_sessions import collect_moves
 
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
-from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves, join_slots, stretch_stills
+from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves, stretch_stills
+from imufield.calibrate.moves.slots import join_slots
 from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
