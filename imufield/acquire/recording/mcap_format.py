@@ -8,8 +8,8 @@ A part is magic, Header (profile ``imufield``), two Channels, one Metadata recor
 
 Every Chunk is zstd with the CRC of its content and stands alone, so any prefix of a part can be read and any damaged chunk
 skipped. There is no index: it would grow with the recording, and a reader that follows it fails on a torn file. For the same
-reason the record classes of the ``mcap`` package are used and not its ``Writer``, which keeps an index entry of each chunk in
-memory even when told to write none.
+reason the six kinds of records are packed here and not by the ``mcap`` package, whose ``Writer`` keeps an index entry of each
+chunk in memory even when told to write none.
 
 Nothing here opens a file or reads a clock.
 """
@@ -34,7 +34,7 @@ from imufield.version import __version__
 sentence = Sentences(__package__)
 
 MAGIC = b"\x89MCAP0\r\n"
-PROFILE = "imufield"  # In the Header, by the specification of MCAP: tells our files from those of other programs.
+PROFILE = b"\x08\x00\x00\x00imufield"  # In the Header, by the specification of MCAP: tells our files from those of others.
 FORMAT = "imufield-recording"
 VERSION = 1
 LINK_CHANNEL = 1
@@ -59,7 +59,6 @@ CHUNK_LIMIT_BYTES = 64 << 20
 cannot make the reader ask for more memory than this."""
 _ZSTD_LEVEL = 1  # Measured on 2000 Hz of STIM300 bytes: level 1 is within 2 % of the size of level 3 at half of its time.
 _LATEST_NS = 2**64 - 1  # The largest time that a message of MCAP holds.
-_MESSAGE_CONTENT = MESSAGE.size - RECORD.size
 
 
 class DamageError(Exception):
@@ -77,16 +76,18 @@ def start_of_part(metadata: Mapping[str, object]) -> bytes:
     # Records outside of chunks have no checksum in MCAP, and without this one no byte can be decoded.
     text = to_json(metadata)
     kept = {"format": FORMAT, "version": str(VERSION), "json": text, "crc32": str(zlib.crc32(text.encode()))}
-    channels = ((LINK_CHANNEL, "link", "imufield-chunk"), (EVENTS_CHANNEL, "events", "json"))
+    entries = b"".join(_prefixed(each.encode()) for entry in kept.items() for each in entry)
+    channels = ((LINK_CHANNEL, b"link", b"imufield-chunk"), (EVENTS_CHANNEL, b"events", b"json"))
     return b"".join(
         [
             MAGIC,
-            _record("Header", profile=PROFILE, library=f"imufield {__version__}"),
+            _record(Opcode.HEADER, PROFILE, _prefixed(f"imufield {__version__}".encode())),
+            # Without a schema, number 0, and without metadata.
             *(
-                _record("Channel", id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=0)
+                _record(Opcode.CHANNEL, struct.pack("<HH", number, 0), *map(_prefixed, (topic, encoding, b"")))
                 for number, topic, encoding in channels
             ),
-            _record("Metadata", name=PROFILE, metadata=kept),
+            _record(Opcode.METADATA, PROFILE, _prefixed(entries)),
         ]
     )
 
@@ -94,8 +95,7 @@ def start_of_part(metadata: Mapping[str, object]) -> bytes:
 def end_of_part() -> bytes:
     """Return everything after the last chunk."""
     # Zero says "not computed": each chunk has its own, and one over all would have to be kept through a crash.
-    end = _record("DataEnd", data_section_crc=0)
-    return end + _record("Footer", summary_start=0, summary_offset_start=0, summary_crc=0) + MAGIC
+    return _record(Opcode.DATA_END, bytes(4)) + _record(Opcode.FOOTER, bytes(20)) + MAGIC
 
 
 def link_message(data: bytes, monotonic_s: float, utc_ns: int, sequence: int) -> bytes:
@@ -111,23 +111,16 @@ def event_message(event: Mapping[str, object], utc_ns: int, sequence: int) -> by
 def _message(channel: int, data: bytes, utc_ns: int, sequence: int) -> bytes:
     # A clock set before 1970, or a damaged time stamp beyond 2554, is not worth losing bytes for.
     time_ns = min(max(utc_ns, 0), _LATEST_NS)
-    length = _MESSAGE_CONTENT + len(data)
-    return RECORD.pack(Opcode.MESSAGE, length) + _MESSAGE_HEAD.pack(channel, sequence & 0xFFFFFFFF, time_ns, time_ns) + data
+    return _record(Opcode.MESSAGE, _MESSAGE_HEAD.pack(channel, sequence & 0xFFFFFFFF, time_ns, time_ns), data)
 
 
 def chunk_record(messages: Sequence[bytes]) -> bytes:
     """Return the Chunk record of some Message records, at least one."""
     times = [MESSAGE.unpack_from(message)[4] for message in messages]
     content = b"".join(messages)
-    return _record(
-        "Chunk",
-        compression="zstd",
-        data=zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(content),
-        message_start_time=min(times),
-        message_end_time=max(times),
-        uncompressed_crc=zlib.crc32(content),
-        uncompressed_size=len(content),
-    )
+    data = zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(content)
+    head = CHUNK.pack(min(times), max(times), len(content), zlib.crc32(content), 4, b"zstd", len(data))
+    return _record(Opcode.CHUNK, head, data)
 
 
 def unpack_chunk(body: bytes) -> bytes:
@@ -172,7 +165,7 @@ def messages(content: bytes) -> Iterator[tuple[int, int, int, int]]:
     while position + MESSAGE.size <= size:
         opcode, length, channel, _, utc_ns, _ = MESSAGE.unpack_from(content, position)
         end = position + RECORD.size + length
-        if opcode != Opcode.MESSAGE or length < _MESSAGE_CONTENT or end > size:
+        if opcode != Opcode.MESSAGE or length < _MESSAGE_HEAD.size or end > size:
             raise DamageError(sentence("mcap_format.no_messages"))
         yield channel, utc_ns, position + MESSAGE.size, end
         position = end
@@ -222,12 +215,10 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
-def _record(kind: str, **values: object) -> bytes:
-    """Return a record as the package of the format writes it; imported here, as who only reads needs none of it."""
-    from mcap import records
-    from mcap.data_stream import RecordBuilder
+def _record(opcode: Opcode, *contents: bytes) -> bytes:
+    return b"".join([RECORD.pack(opcode, sum(map(len, contents))), *contents])
 
-    builder = RecordBuilder()
-    getattr(records, kind)(**values).write(builder)
-    content: bytes = builder.end()  # type: ignore[no-untyped-call]  # the mcap package leaves it out here alone
-    return content
+
+def _prefixed(content: bytes) -> bytes:
+    """Return a string, or the entries of a map, behind its length."""
+    return len(content).to_bytes(4, "little") + content

@@ -38,7 +38,6 @@ RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 _FIRST_SEARCH_BYTES = 4 << 10  # Many damaged places cost little.
 _LARGEST_SEARCH_BYTES = 1 << 20  # As large as a usual chunk, so that one read finds its end.
 _SEARCH_GROWTH = 16
-_PROFILE = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
 _PROFILE_AT = len(MAGIC) + RECORD.size  # Where it stands in the file, behind the start of the Header record.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
 _HEAD_LIMIT_BYTES = 64  # Header and Channel records have about 35: with a damaged length they must not swallow a chunk.
@@ -52,7 +51,7 @@ def is_part(path: str | Path) -> bool:
             start = file.read(_START_BYTES)
     except OSError:
         return False
-    return start.startswith(MAGIC) and start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
+    return start.startswith(MAGIC) and start[_PROFILE_AT : _PROFILE_AT + len(PROFILE)] == PROFILE
 
 
 def open_part(path: Path) -> BufferedReader:
@@ -236,8 +235,8 @@ class PartFile:
     def _check_start(self, start: bytes) -> None:
         """Refuse what is not ours; a few damaged bytes are forgiven."""
         expected = MAGIC + bytes([Opcode.HEADER])
-        there = start[: len(expected)] + start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)]
-        differ = sum(a != b for a, b in zip(there, expected + _PROFILE, strict=False))
+        there = start[: len(expected)] + start[_PROFILE_AT : _PROFILE_AT + len(PROFILE)]
+        differ = sum(a != b for a, b in zip(there, expected + PROFILE, strict=False))
         if not start:
             raise self._refused("part_file.empty")
         # The sixth byte of the magic is the version of MCAP, "0" up to now.
