@@ -101,7 +101,7 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
         lost = _missing(path, end)
     except (UsageError, RecordingError):
         raise
-    except foreign_file_reader.DAMAGE as error:
+    except foreign_file_reader.damage() as error:
         key = "can_logs.damaged" if end["read"] else "can_logs.from_the_first"
         lost = sentence(key, path=str(path), frames=end["read"], cause=foreign_file_reader.first_line(error))
     if not chosen and (end["read"] or not lost):
@@ -171,7 +171,7 @@ def _of_candump(lines: Iterable[str], end: dict[str, int]) -> Iterator[can.Messa
         text, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
         try:
             messages = [*can.CanutilsLogReader(io.StringIO(text))]
-        except foreign_file_reader.DAMAGE:
+        except foreign_file_reader.damage():
             if not end["read"]:
                 raise
             end |= {"bad": end.get("bad", 0) + 1, "first_bad": end.get("first_bad", number)}

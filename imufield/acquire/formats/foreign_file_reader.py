@@ -15,15 +15,12 @@ import gzip
 import importlib
 import io
 import json
-import mmap
+import os
 import re
 import signal
-import sqlite3
 import struct
 import sys
-import tokenize
 import warnings
-import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -61,13 +58,6 @@ MOST_ARRAYS = 4096
 """With a head each, which takes longer to read than its numbers where those are few."""
 LONGEST_LINE = 1 << 16
 """Characters of a line of a log: a frame takes at most some 400, and comments stand there, too."""
-DAMAGE = (
-    *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RuntimeError, OSError, EOFError),
-    *(MemoryError, SyntaxError, RecursionError, struct.error, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
-    *(AssertionError, sqlite3.Error),
-)
-"""What the libraries raise in damaged files, besides ending the process: their own errors derive from ValueError, OSError and
-RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a head written in Python; rosbags asserts."""
 NUMBERS = "iufb"
 """Kinds of data in NumPy that are numbers: whole, without sign, floating, truth values."""
 DATES = "M"
@@ -77,6 +67,26 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 _OWN = "imufield_"  # What our own exports state of their numbers begins with this.
 _BATCH = 1 << 14
 _FRAMES_A_LIMIT = 1 << 10  # It is a call to the system each time.
+
+
+def damage(*own: type[Exception]) -> tuple[type[Exception], ...]:
+    """Return what the libraries raise in damaged files, besides ending the process, and ``own`` of one of them.
+
+    Their own errors derive from ValueError, OSError and RuntimeError, the others come out of the parsing of sizes, names and
+    (NumPy) a head written in Python; rosbags asserts.
+    """
+    # Late, as text and most files that are read have none.
+    import sqlite3
+    import tokenize
+    import zipfile
+
+    return (
+        *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RuntimeError, OSError, EOFError),
+        *(MemoryError, SyntaxError, RecursionError, struct.error, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
+        AssertionError,
+        sqlite3.Error,
+        *own,
+    )
 
 
 def read_mat(path: Path) -> Content:
@@ -193,7 +203,7 @@ def read_bag(path: Path, topic: str | None = None) -> Content:
             chosen = [each for each in connections if each.msgtype == IMU_TYPE and topic in (None, each.topic)]
             if len({each.topic for each in chosen}) == 1:
                 _collect(reader, chosen, batches)
-    except (AnyReaderError, Rosbag1Error, Rosbag2Error, TypesysError, *DAMAGE) as error:
+    except damage(AnyReaderError, Rosbag1Error, Rosbag2Error, TypesysError) as error:
         cause = _cause(error, path)
     rows = np.concatenate(batches) if batches else np.empty((0, 10))
     return {"rows": rows}, {"topics": sorted({(each.topic, each.msgtype) for each in connections}), "cause": cause}
@@ -290,7 +300,7 @@ def limit_memory(size: int) -> None:
     present_bytes = 0
     # The address space that this process has taken already, where the system says.
     with suppress(OSError, ValueError):
-        present_bytes = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
+        present_bytes = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
     _limit("RLIMIT_AS", present_bytes + memory_limit_bytes(size))
     # rosbags unpacks some recordings into a file.
     _limit("RLIMIT_FSIZE", memory_limit_bytes(size))
@@ -332,7 +342,7 @@ def write_arrays(kind: str, path: Path, *topic: str) -> None:
         head = {"names": numbers, "others": [name for name in arrays if name not in numbers], "stated": stated}
     except ImportError as error:
         numbers, head = [], {"missing": first_line(error)}
-    except DAMAGE as error:
+    except damage() as error:
         numbers, head = [], {"error": _cause(error, path)}
     output.write(json.dumps(head).encode() + b"\n")
     # An object with this method alone: NumPy would seek in a real file.
@@ -346,7 +356,7 @@ def _load(module: str) -> None:
     """Import what reads a file; ImportError whatever that raises, which says nothing of the file."""
     try:
         importlib.import_module(module)
-    except DAMAGE as error:
+    except damage() as error:
         raise ImportError(first_line(error)) from error
 
 
@@ -407,7 +417,7 @@ def _write_each_frame(suffix: str, path: Path) -> Mapping[str, object]:
                 sys.stdout.write(_frame_line(message, suffix))
             if isinstance(reader, can.BLFReader):
                 return {"frames": reader.object_count, "bytes": reader.file_size}
-    except (*DAMAGE, can.CanError, BLFParseError) as error:
+    except damage(can.CanError, BLFParseError) as error:
         return {"cause": _cause(error, path)}
     return {}
 

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imufield.acquire.formats.foreign_file_reader import DAMAGE, IMU_TYPE, first_line
+from imufield.acquire.formats.foreign_file_reader import IMU_TYPE, damage, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, start_reader, unread
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError, missing_package
@@ -67,7 +67,7 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
             arrays, stated = handed_over(process)
     except ImportError as error:
         raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros", str(error)) from error
-    except DAMAGE as error:
+    except damage() as error:
         raise unread(path, error, sentence("ros_bags.damaged", path=str(path), cause=first_line(error))) from error
     rows, cause = arrays["rows"], stated["cause"]
     if cause and not len(rows):

@@ -137,7 +137,7 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
         raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
     except (RecordingError, UsageError):
         raise
-    except foreign_file_reader.DAMAGE as error:
+    except foreign_file_reader.damage() as error:
         damaged = sentence("table_arrays.damaged", path=str(path), kind=kind.words, cause=foreign_file_reader.first_line(error))
         raise unread(path, error, damaged) from error
 
