@@ -5,20 +5,19 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imufield.acquire.decoding_process import LONG_BYTES
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.reader import Damage, size_bytes
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.calibrate.gyroscope.whole_turns import stops_at
-from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
 from imufield.dataclass import asdict, dataclass, replace
 from imufield.deliver.parameters.clock import best_rate, clock_facts
@@ -185,21 +184,31 @@ def read_recording(
     goes_on = session.is_being_recorded
     collected = ReadingCollector()
     chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
-    # Hashing leaves the interpreter to others: beside the replay it costs little time.
-    with ThreadPoolExecutor(1) as threads:
-        hashing = threads.submit(session.sha256)
+    with _hashed_beside(session) as hashed:
         if not (goes_on or listeners) and is_kept(session):
-            found = kept(session, hashing.result())
+            found = kept(session, hashed())
             if found is not None:
                 yield found
                 return
         replay_into(chain, session, damage, collected.hear)
-        sha256 = hashing.result()
+        sha256 = hashed()
     with naming_damage(session, damage), task("solving"):
         reading = reading_of(session, chain, collected, damage, sha256=sha256)
     yield reading
     if keeps and not (goes_on or damage):
         keep(session, reading)
+
+
+@contextmanager
+def _hashed_beside(session: Session) -> Iterator[Callable[[], str]]:
+    """Hash a long recording in a thread, which leaves the interpreter to others: beside the replay it costs little time."""
+    if size_bytes(session.parts) < LONG_BYTES:
+        yield session.sha256
+        return
+    from concurrent.futures import ThreadPoolExecutor  # To import it takes as long as to hash a short one.
+
+    with ThreadPoolExecutor(1) as threads:
+        yield threads.submit(session.sha256).result
 
 
 def reading_of(
@@ -261,6 +270,8 @@ def _facts(session: Session, reading: Reading) -> SessionFacts:
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:
     """Solve position means from a file."""
+    from imufield.calibrate.model.observation_files import parse_observations, read_content  # No session needs it.
+
     # Once, for numbers and hash: what a pipe held is gone afterwards.
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))

@@ -60,6 +60,7 @@ class HoldOutput:
         flat = cells.low == cells.high
         # With the cell before; an absent output, NaN, never does.
         unchanged = np.concatenate([np.zeros((1, 6), dtype=np.bool_), flat[1:] & flat[:-1] & (cells.low[1:] == cells.low[:-1])])
+        runs = _longest_runs(np.column_stack([unchanged, (unchanged | np.isnan(low)).all(axis=1)]))
         commonest = [_commonest(column[np.isfinite(column)]) for column in cells.first.T]
         return cls(
             cells=len(cells),
@@ -70,8 +71,8 @@ class HoldOutput:
             at_high=np.where(cells.high[:, :3] == high[:3], cells.at_high, 0).sum(axis=0),
             sigma=floor.sigma,
             independent=len(cells) * np.divide(floor.sigma, floor.cell_sigma, out=np.ones(6), where=floor.sigma > 0) ** 2,
-            run=np.array([_longest_run(column) for column in unchanged.T]),
-            run_of_all=_longest_run((unchanged | np.isnan(low)).all(axis=1)),
+            run=runs[:6],
+            run_of_all=int(runs[6]),
             commonest=np.array([value for value, _ in commonest]),
             begun_with_it=np.array([count for _, count in commonest]),
         )
@@ -82,9 +83,12 @@ class HoldOutput:
         return np.asarray(self.low == self.high)
 
 
-def _longest_run(unchanged: NDArray[np.bool_]) -> int:
-    """Return the most cells in a row that are all the same, the first of them included."""
-    return int(np.diff(np.flatnonzero(~unchanged), append=len(unchanged)).max())
+def _longest_runs(unchanged: NDArray[np.bool_]) -> IntArray:
+    """Return the most cells in a row that are all the same, the first of them included, of each column: (m, k) to (k,)."""
+    # One column behind the other; each begins with a change.
+    column, row = np.nonzero(~unchanged.T)
+    length = np.diff(column * len(unchanged) + row, append=unchanged.size)
+    return np.asarray(np.maximum.reduceat(length, np.flatnonzero(row == 0)))
 
 
 def _commonest(values: FloatArray) -> tuple[float, int]:
