@@ -184,6 +184,10 @@ class Evaluation:
         """Number of moves."""
         return len(self.tangent)
 
+    def moved(self, change: FloatArray) -> Evaluation:
+        """Return what moves predict after a small change of the instrument's parameters, shape (21,), in first order."""
+        return replace(self, predicted=self.predicted + cross(self.predicted, self.turns.jacobian @ change))
+
     def angle_error_rad(self, up_after: FloatArray) -> FloatArray:
         """Return the angle between measured and predicted direction of each move, shape (m,)."""
         sine = np.linalg.norm(cross(self.predicted, up_after), axis=1)

@@ -188,7 +188,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     residual = now.residual[: 2 * m].reshape(m, 2)
     moves = MoveReport(
         before_deg=_angles_deg(before, data),
-        after_deg=_angles_deg(evaluate(x, data), data),
+        after_deg=_angles_deg(now.moved(-linearity.moved[:PARAMETERS]), data),
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
     result = _result(solution, x[:PARAMETERS], own, known, path=_path(solution, turns))
