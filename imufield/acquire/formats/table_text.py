@@ -1,7 +1,7 @@
 """Read numbers from text files: CSV or columns separated by blanks, with or without a header, also packed by gzip.
 
-A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); single lines
-are examined only to name the one that is wrong.
+A file is read in blocks of whole lines. Where they are alike, their digits are added up at once; else NumPy's C parser turns
+them into numbers (4 million a second). Single lines are examined only to name the one that is wrong.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import gzip
 import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, cast
@@ -20,6 +19,8 @@ from typing import BinaryIO, NamedTuple, cast
 import numpy as np
 
 from imufield.acquire.formats.foreign_file_reader import SoundGzip
+from imufield.acquire.formats.table_cells import delimiter_of, is_number, seconds_of_date, split_cells, without_quotes
+from imufield.acquire.formats.table_digits import read_alike
 from imufield.dataclass import dataclass, field
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
@@ -37,9 +38,6 @@ LINE_LIMIT_BYTES = 1 << 20
 """No table has longer lines; a file without line ends is not one."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
-_QUOTED = re.compile(r'"([^"\n]*)"')
-# Three digits behind it may be thousands, but for those of 0,123.
-_DECIMAL_COMMA = re.compile(r"(?<!\d)0,\d|\d,(?!\d{3}(?!\d))\d")
 # 1.009,81 and 1,009.81, 1.000.000 and 1'009; but 1,009 may be 1.009.
 _THOUSANDS = re.compile(
     r"[+-]?\d{1,3}(?:(?:['\u2019\s]\d{3})+(?:[.,]\d*)?|(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:\.\d{3}){2,}|(?:,\d{3}){2,})"
@@ -95,6 +93,13 @@ class TextTable:
         """
         line = 0
         for block in _line_blocks(self.path):
+            below = block.split(b"\n", max(self.lines_before - line, 0))[-1]
+            is_plain = not self.decimal_comma and not self.text_columns
+            alike = read_alike(below, self.delimiter, self.width) if is_plain else None
+            if alike is not None:
+                yield alike[:, [*columns]]
+                line += block.count(b"\n")
+                continue
             text = self._clean(block)
             lines = text.split("\n")
             rows = lines[max(self.lines_before - line, 0) :]
@@ -134,7 +139,7 @@ class TextTable:
         """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
         # Most files have none of these; a search is faster than a copy.
         if b'"' in block:
-            block = _without_quotes(block.decode("latin-1"), self.delimiter).encode("latin-1")
+            block = without_quotes(block.decode("latin-1"), self.delimiter).encode("latin-1")
         if self.decimal_comma:
             block = block.replace(b",", b".")
         if self.delimiter is None:
@@ -202,7 +207,7 @@ class TextTable:
                 shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(written)}
                 return _bad("table_text.other_width", self.path, **shown)
             # What parts cells stands in quotes, too.
-            hidden = split_cells(_without_quotes(written, self.delimiter, "\0"), self.delimiter)[wrong]
+            hidden = split_cells(without_quotes(written, self.delimiter, "\0"), self.delimiter)[wrong]
             cell = hidden.replace("\0", self.delimiter or " ")
             key = "table_text.thousands" if _THOUSANDS.fullmatch(cell) else "table_text.no_number"
             return _bad(key, self.path, text=shortened(cell), line=number)
@@ -216,27 +221,6 @@ class TextTable:
         except ValueError:
             return False
         return True
-
-
-def seconds_of_date(text: str) -> float:
-    """Return the seconds since 1970, or since midnight, of a date or time of day; without a time zone it is taken as UTC.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
-    text = text.strip().replace("/", "-")
-    # A time of day counts from midnight; two numbers are minutes and seconds, as Excel shows them.
-    if ":" in text[:3]:
-        text = f"1970-01-01T{'00:' if text.count(':') == 1 else ''}{text}"
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        # As MATLAB writes it.
-        whole = text if "." in text else f"{text}.0"
-        moment = datetime.strptime(whole, "%d-%b-%Y %H:%M:%S.%f")  # noqa: DTZ007  (the time zone follows)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def open_table(path: str | Path) -> TextTable:
@@ -354,7 +338,7 @@ def _delimiter_below(names: list[str], line: str) -> tuple[str | None, bool]:
 
 def _first_cells(line: str, delimiter: str | None) -> list[str]:
     # Tabs at the end are cells, where tabs part them.
-    return split_cells(_without_quotes(line.strip(" \r" if delimiter == "\t" else None), delimiter), delimiter)
+    return split_cells(without_quotes(line.strip(" \r" if delimiter == "\t" else None), delimiter), delimiter)
 
 
 def _are_names(line: str, delimiter: str | None, below: list[str]) -> bool:
@@ -392,48 +376,9 @@ def _names(line: str, delimiter: str | None, width: int) -> tuple[str, ...]:
     return tuple(printable(cell.strip('" ')) for cell in cells)
 
 
-def delimiter_of(line: str) -> tuple[str | None, bool]:
-    """Return what separates cells, and whether commas are decimal ones."""
-    # What stands in quotes separates nothing.
-    outside, bare = _QUOTED.sub("", line), line.replace('"', "")
-    if ";" in outside:
-        return ";", "," in bare
-    # Between tabs a comma is a decimal one where it cannot be another.
-    is_one_each = max(cell.count(",") for cell in bare.split("\t")) == 1
-    if "\t" in outside and is_one_each and "." not in bare and _DECIMAL_COMMA.search(bare):
-        return None, True
-    if "," in outside:
-        return ",", False
-    # A tab separates even where cells are empty, but files padded with blanks and tabs are common: take both as blanks.
-    return None, False
-
-
-def _without_quotes(text: str, delimiter: str | None, mark: str = "_") -> str:
-    """Leave out quotes; a delimiter inside them becomes what no number has: it may be a decimal comma, or one of thousands."""
-    inside = re.compile(r"\s" if delimiter is None else re.escape(delimiter))
-    return _QUOTED.sub(lambda quoted: inside.sub(mark, quoted[1]), text).replace('"', "") if '"' in text else text
-
-
-def split_cells(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line without the blanks around them."""
-    return [cell.strip() for cell in line.split(delimiter)]
-
-
 def _is_row(line: str) -> bool:
     text = line.strip()
     return bool(text) and not text.startswith("#")
-
-
-def is_number(text: str) -> bool:
-    """Tell whether NumPy reads a cell as a number; an empty cell counts as one."""
-    # Python reads 1_000 as a number, NumPy does not.
-    if "_" in text:
-        return False
-    try:
-        float(text or "nan")
-    except ValueError:
-        return False
-    return True
 
 
 def _lines(path: Path) -> Iterator[str]:

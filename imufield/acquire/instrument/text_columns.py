@@ -14,9 +14,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from imufield.acquire.formats.table_cells import delimiter_of, is_number, split_cells
 from imufield.acquire.formats.table_columns import FASTEST_RAD_S, HEADERLESS
 from imufield.acquire.formats.table_names import TIME, named_column
-from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener, usual_rate
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol

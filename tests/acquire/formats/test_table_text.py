@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.acquire.formats.table_text import open_table, seconds_of_date
+from imufield.acquire.formats.table_text import open_table
 from imufield.acquire.formats.tables import read_tables
 from imufield.errors import Reason, RecordingError
 from tests.acquire.table_files import ACCELEROMETER, TIME, text_of
@@ -77,31 +77,6 @@ def test_a_damaged_text_of_two_bytes_is_refused(tmp_path: Path, encoding: str) -
     path.write_bytes(mark + "t,ax\n".encode(encoding) + (b"\xd8\x00" if encoding.endswith("be") else b"\x00\xd8") * 3)
     with refused(RecordingError, Reason.BAD_DATA):
         read_tables([path])
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [
-        ("1970-01-01T00:01:00.250Z", 60.25),
-        ("1970-01-01 02:01:00.250+02:00", 60.25),
-        ("1970/01/01 00:01:00,250", 60.25),
-        ("01-Jan-1970 00:01:00.250", 60.25),
-        ("00:01:00.25", 60.25),
-        ("13:00:00", 46800.0),
-        ("13:00:00+01:00", 43200.0),
-        # As Excel shows minutes and seconds.
-        ("12:13.010", 733.01),
-        ("01-Jan-1970 00:01:00", 60.0),
-    ],
-)
-def test_dates_are_seconds(text: str, seconds: float) -> None:
-    assert seconds_of_date(text) == pytest.approx(seconds, abs=1e-6)
-
-
-@pytest.mark.parametrize("text", ["", "yesterday", "03/04/2023 11:12:13", "25:00:00", "-"])
-def test_what_is_no_date_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=r".*"):
-        seconds_of_date(text)
 
 
 def test_times_as_dates(tmp_path: Path) -> None:

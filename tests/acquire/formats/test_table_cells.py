@@ -1,0 +1,32 @@
+"""What a cell says: a date, a time of day, or neither."""
+
+from __future__ import annotations
+
+import pytest
+
+from imufield.acquire.formats.table_cells import seconds_of_date
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("1970-01-01T00:01:00.250Z", 60.25),
+        ("1970-01-01 02:01:00.250+02:00", 60.25),
+        ("1970/01/01 00:01:00,250", 60.25),
+        ("01-Jan-1970 00:01:00.250", 60.25),
+        ("00:01:00.25", 60.25),
+        ("13:00:00", 46800.0),
+        ("13:00:00+01:00", 43200.0),
+        # As Excel shows minutes and seconds.
+        ("12:13.010", 733.01),
+        ("01-Jan-1970 00:01:00", 60.0),
+    ],
+)
+def test_dates_are_seconds(text: str, seconds: float) -> None:
+    assert seconds_of_date(text) == pytest.approx(seconds, abs=1e-6)
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "03/04/2023 11:12:13", "25:00:00", "-"])
+def test_what_is_no_date_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r".*"):
+        seconds_of_date(text)
