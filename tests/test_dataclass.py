@@ -52,6 +52,7 @@ ASKED: dict[str, Callable[[type[Any]], object]] = {
     "changed": lambda kind: repr(replace(kind(x=1.0), y=5.0)),
     "refused": lambda kind: [refusal(kind), refusal(lambda: kind(x=1.0, count=3)), refusal(lambda: kind(x=1.0, z=3))],
     "by place": lambda kind: refusal(lambda: kind(1.0, 2.0)),
+    "given twice": lambda kind: [refusal(lambda: kind(1.0, x=2.0)), refusal(lambda: kind(1.0, 2.0, [], 0, 7))],
     "equal": lambda kind: [kind(x=1.0) == kind(x=1.0, hidden=9), kind(x=1.0) == kind(x=2.0), kind(x=1.0) == (1.0,)],
     "own list": lambda kind: kind(x=1.0).names is kind(x=1.0).names,
     "hash": lambda kind: refusal(lambda: hash(kind(x=1.0))),
@@ -75,8 +76,10 @@ def refusal(act: Callable[[], object]) -> type[Exception] | None:
 
 @pytest.mark.parametrize("options", OPTIONS, ids=repr)
 @pytest.mark.parametrize("asked", ASKED)
-def test_both_answer_the_same(options: dict[str, bool], asked: str) -> None:
+@pytest.mark.parametrize("made", [0, 20], ids=["of the first objects", "of one among many"])
+def test_both_answer_the_same(options: dict[str, bool], asked: str, made: int) -> None:
     ours, standard = pair(**options)
+    assert len({repr(ours(x=1.0)) for _ in range(made)}) == min(made, 1)
     assert ASKED[asked](ours) == ASKED[asked](standard)
 
 
