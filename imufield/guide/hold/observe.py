@@ -185,18 +185,13 @@ def correlation_factor(deviation: FloatArray) -> float:
     With a correlation time of a tenth of the series the sigma that follows is still about 1.5 times too small: what is
     slower than a hold shows between holds only.
     """
-    m = len(deviation)
-    energy = float(deviation @ deviation)
-    if m < 4 or energy == 0:
+    m, pairs = len(deviation), max(len(deviation) // 8, 1)
+    if m < 4 or not deviation.any():
         return 1.0
-    kept = 0.0
-    for lag in range(0, max(m // 4, 2) - 1, 2):
-        # Lag by lag, as of a hold without tremor the first pair or two are all.
-        pair = float(deviation[: m - lag] @ deviation[lag:] + deviation[: m - lag - 1] @ deviation[lag + 1 :]) / energy
-        if pair <= 0:
-            break
-        kept += pair
-    factor = max(2 * kept - 1, 1.0)
+    by_lag = np.correlate(np.concatenate([deviation, np.zeros(2 * pairs - 1)]), deviation)
+    pair = by_lag.reshape(pairs, 2).sum(axis=1) / by_lag[0]
+    # Up to the first pair that is not positive.
+    factor = max(2 * float(pair[np.logical_and.accumulate(pair > 0)].sum()) - 1, 1.0)
     # Deviations from the series' own mean miss the variance of that mean, the share factor / m.
     return factor / max(1 - factor / m, 0.5)
 
