@@ -52,10 +52,10 @@ _RECENT = 33  # Stamps that tell the usual step where samples come one by one.
 _UNEVEN = 0.25  # Part of the usual step by which stamps may be off, and share of them that may be further off.
 _LEAST_REGULAR = 0.25  # Share of the samples that follow by a step of a counter that counts them: three of four may be lost.
 _MOST_STANDING = 0.25  # Share of samples that repeat the count before and are no copies.
-_DISPROVED_S = 0.25  # By which a count is ahead of all stamps before: the instrument was restarted.
+_DISPROVED_S = 0.25  # A count that is further ahead of the stamps before it than this: the instrument was restarted.
 _PERIOD_ERROR = 0.25  # Share of a gap to which the period is known: learned from bursts, or changed meanwhile.
-_LATER = 0.02  # By so much time the phase may rise in a second, as the period is not known exactly.
-_OUT_OF_ORDER = 4  # Counts by which a frame that another has overtaken is behind.
+_LATER = 0.02  # s/s by which the phase may rise: the period is not known exactly.
+_OUT_OF_ORDER = 4  # Most counts by which an overtaken frame is behind.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -89,7 +89,7 @@ class CanClock(Clock):
         self._tried = LEARN_SAMPLES  # Samples from which no period could be learned yet.
         self._stamps = FrameStamps()
         self._last_time_s = -np.inf
-        self._late_s = 0.0  # Phase at which a period ended beyond the earliest one.
+        self._late_s = 0.0  # How far the phase was above the earliest one when the last period ended.
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._first = 0  # The count that it begins anew with.
@@ -232,9 +232,7 @@ class CanClock(Clock):
             elif len(known) > len(block) / 2:
                 first = int(known[0])
                 self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
-        steps = (
-            np.ones(len(block)) if self._last_counter is None else self._without_steps_back(self._all_forward(block.counter))
-        )
+        steps = self._without_steps_back(self._all_forward(self._filled(block.counter)))
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         phase = _Phase(period_s=period_s, window_s=window_s)
@@ -266,20 +264,13 @@ class CanClock(Clock):
         # More than half a round forward is a step back: frames out of order, or a restart.
         return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
 
-    def _followed(self, block: RawBlock, phase: _Phase, *, remember: bool = False) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the steps as ``_all_forward``, 1 where the counter began anew, and where that was."""
-        forward = self._all_forward(block.counter, remember=remember)
-        anew = self._are_anew(forward, block, phase)
-        forward[anew] = 1.0
-        return forward, anew
-
     def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
-        """Return which steps of the counter are those of a restart: frames are late, and never so early. Shape (n,)."""
+        """Return which steps are restarts: frames come late, never early, so a count far ahead of its stamp did not go on."""
         anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s, phase.period_s
         # Not where a frame has overtaken another, nor where the clock of the stamps was set.
         long = (forward * T > _DISPROVED_S) & (self._modulus - forward * self._counter_step > _OUT_OF_ORDER)
         places = np.flatnonzero(long & ((block.status & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
-        if phase.is_blind or not places:
+        if phase.is_blind or self._last_counter is None or not places:
             return anew
         steps, tolerance_s = self._without_steps_back(forward), max(_DISPROVED_S, 2 * phase.delay_s)
         before = phase.number + np.cumsum(steps) - steps
@@ -294,20 +285,25 @@ class CanClock(Clock):
                 shift_s += float(steps[place] - 1) * T
         return anew
 
-    def _all_forward(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
-        """Return the steps of the counter as if all went forward, from 0 up to one wrap, in samples. Shape (n,)."""
+    def _filled(self, counter: IntArray) -> NDArray[np.int64 | np.float64]:
+        """Return the counts, those of lost counter messages as if it went on from the last one known."""
         known = self._is_count(counter)
-        # A lost counter message: go on from the last one known.
-        before = self._last_counter or 0
-        filled = counter if every(known) else filled_in(counter, known, before, self._counter_step)
-        if remember:
-            # Not modulo: the counter may turn out to go on beyond the end that it has so far.
-            self._last_counter = int(filled[-1])
-        return steps_between(filled, before) % self._modulus / self._counter_step
+        return counter if every(known) else filled_in(counter, known, self._last_counter or 0, self._counter_step)
+
+    def _all_forward(self, counts: NDArray[np.int64 | np.float64]) -> FloatArray:
+        """Return the steps as if all went forward, from 0 up to one wrap, in samples; 1 without a counter. Shape (n,)."""
+        if self._last_counter is None:
+            return np.ones(len(counts))
+        return np.asarray(steps_between(counts, self._last_counter) % self._modulus / self._counter_step, dtype=np.float64)
 
     def _time(self, block: RawBlock, ready: int, phase: _Phase) -> Samples:
         """Give the first ``ready`` samples of the block their time, fewer where the rate has changed behind them."""
-        number = self._numbers(block, phase)
+        counts = self._filled(block.counter)
+        forward = self._all_forward(counts)
+        anew = self._are_anew(forward, block, phase)
+        forward[anew] = 1.0
+        steps = self._without_steps_back(forward)
+        number = phase.number + np.cumsum(steps)
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s, ready)
         moved_s = steps_between(envelope_s, phase.base_s)
@@ -319,28 +315,26 @@ class CanClock(Clock):
             ready = _until_rate_changes(moved_s, phase)
             envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
-        forward, steps, anew = None, None, np.zeros(ready, dtype=np.bool_)
+        forward, steps, anew = forward[:ready], steps[:ready], anew[:ready]
         if self._last_counter is not None:
-            forward, anew = self._followed(block[:ready], phase, remember=True)
-            steps = self._without_steps_back(forward)
+            # Not modulo: the counter may turn out to go on beyond the end that it has so far.
+            self._last_counter = int(counts[ready - 1])
         phase.earliest_s = min(phase.earliest_s, float((lag_s[:ready] - _LATER * block.stamp_s[:ready]).min()))
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = is_steady and most_s < phase.visible_s
-        repeated = steps is not None and not every(steps >= 1)
-        if stands and not repeated and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
+        if stands and every(steps >= 1) and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
             # No loss by time, and time runs forward, from the end of a period learned before as well.
             phase.last_time_s = float(time_s[-1])
             estimated = None
         else:
-            estimated = _losses(envelope_s, moved_s, phase, forward, steps, anew=anew)
+            estimated = _losses(envelope_s, moved_s, phase, forward=forward, steps=steps, anew=anew)
             time_s = _forward(time_s, phase)
         before_s = envelope_s if ready > phase.burst else np.concatenate([phase.before_s, envelope_s])
         phase.before_s = before_s[-phase.burst - 1 :]
         self._begin = self._begin or (float(number[0]) + self._unnumbered, float(time_s[0]))
         if estimated is not None:
             # A count that comes again behind a loss is that of another sample.
-            again = 0 if steps is None else np.count_nonzero(estimated[steps == 0])
-            self._unnumbered += int(estimated.sum()) + int(again)
+            self._unnumbered += int(estimated.sum()) + int(np.count_nonzero(estimated[steps == 0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
         # The rate as learned, and as measured since the first sample.
         self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
@@ -356,20 +350,12 @@ class CanClock(Clock):
             self._phase = self._begin = None
         return samples
 
-    def _numbers(self, block: RawBlock, phase: _Phase) -> FloatArray:
-        """Return the numbers of all samples of the block; what is not ready is counted again in the next call."""
-        if self._last_counter is None:
-            return np.arange(phase.number + 1, phase.number + len(block) + 0.5)
-        forward, _ = self._followed(block, phase)
-        return np.asarray(phase.number + np.cumsum(self._without_steps_back(forward)))
-
-    def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
+    def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray, estimated: IntArray | None) -> Samples:
         flags = np.empty(len(block), dtype=np.uint32)
         flags.fill(Status.TIME_ESTIMATED)
         statistics = self._statistics
-        gaps = np.zeros(len(block), dtype=np.bool_)
-        if steps is not None and not every(steps <= 1):
-            gaps = steps > 1
+        gaps = steps > 1
+        if gaps.any():
             flags[gaps] |= np.uint32(Status.AFTER_GAP)
             statistics.samples_lost += int(steps[gaps].sum()) - int(np.count_nonzero(gaps))
         if estimated is not None and np.count_nonzero(estimated):
@@ -395,9 +381,9 @@ def _losses(
     envelope_s: FloatArray,
     moved_s: FloatArray,
     phase: _Phase,
-    forward: FloatArray | None,
-    steps: FloatArray | None,
     *,
+    forward: FloatArray,
+    steps: FloatArray,
     anew: NDArray[np.bool_],
 ) -> IntArray:
     """Return how many samples are missing before each one by the steps of the phase. Shape (n,).
@@ -410,9 +396,9 @@ def _losses(
         # The last burst before a loss has nothing behind it that shows how late it was.
         before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
-        step = 1 if steps is None else round(float(steps[place]))
+        step = round(float(steps[place]))
         # What the counter went on by if the step that was taken for one back was forward.
-        unseen = 0 if forward is None else round(float(forward[place])) - step
+        unseen = round(float(forward[place])) - step
         unit = 1 if anew[place] else phase.unit
         units = round((float(step_s) / phase.period_s - unseen) / unit)
         # A count that was repeated is one sample less.

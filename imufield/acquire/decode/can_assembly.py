@@ -130,7 +130,7 @@ class Assembler:
         self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1
         self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
-        self._period_s = 0.0
+        self._first_s: float | None = None  # By counter: when the first sample began.
         # By counter: samples given out of those that begin with the first frames of the next block, which of these frames are
         # used, and what began before them.
         self._done = 0
@@ -182,7 +182,7 @@ class Assembler:
             usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
             self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
         number = max(int(counts[self._start]) - 1, 1)
-        self._period_s = period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
+        period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
         if not self._limit_s:
             self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S if is_clear else _LOOSE_LIMIT_S)
         if self._rule.limit_s and self._rule.starts_with is not None:
@@ -251,10 +251,12 @@ class Assembler:
         count, begin_s = group[all_starts], frames.time_s[all_starts]
         is_same = np.diff(count, prepend=self._past.count) == 0
         past = self._past.followed(count, begin_s, is_same)
-        # More samples than counts between the ends: it has begun anew. Half a round further on is a sample with the same count.
-        span, stated = past.high - past.low + 1, self._rule.group_modulus or math.inf
+        # More samples than counts from the lowest to the highest: the counter wrapped. Half a round away is another such count.
+        span, stated = past.high - past.low + 1, self._rule.group_modulus
         half_round = np.where(past.samples > span, np.minimum(span, stated), stated) / 2
-        limit_s = np.minimum(self._limit_s, half_round * self._period_s)
+        self._first_s = float(begin_s[0]) if self._first_s is None and len(begin_s) else self._first_s
+        period_s = (begin_s - (self._first_s or 0.0)) / np.maximum(past.samples - 1, 1)
+        limit_s = np.minimum(self._limit_s, np.where(period_s > 0, half_round * period_s, np.inf))
         # A whole round of the counter may have been lost.
         is_new = ~(is_same & (np.diff(begin_s, prepend=self._past.time_s) <= limit_s))
         starts, half_round, limit_s = all_starts[is_new], half_round[is_new], limit_s[is_new]

@@ -180,7 +180,7 @@ class CanSource:
             return np.asarray((here == before).all(axis=1) & (own[which] == own[which - 1]))
 
         group = None
-        if self._rule.assembly.by_counter:
+        if self._rule.assembly.group_modulus:
             group = np.zeros(len(places), dtype=np.int64)
             for number, reader in enumerate(self._kinds):
                 mine = own == number

@@ -101,10 +101,8 @@ class AssemblyRule:
     limit_s: float = 0.0
     """Latest time of a frame behind the first of its sample; 0: three quarters of the learned period."""
 
-    by_counter: bool = False
-    """Whether all kinds share a counter, ``CanKind.group``."""
     group_modulus: int = 0
-    """Of that counter, the smallest; 0 where there is none."""
+    """The smallest of the counters that all kinds share (``CanKind.group``); 0 where there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -336,7 +334,6 @@ def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
         mapped.numbers_of(table, "starts_with", start)[0] if start else None,
         tuple(number for name in table.texts("needs") for number in mapped.numbers_of(table, "needs", name)),
         min(table.known_number("limit_s", low=_SHORTEST_LIMIT_S, high=LARGEST), _LONGEST_LIMIT_S),
-        bool(counters),
         min((kind.group.stated_modulus for kind in mapped.kinds.values() if kind.group), default=0),
     )
 

@@ -151,7 +151,7 @@ def test_by_counter_order_does_not_matter(seed: int) -> None:
         if rng.random() < 0.5:
             frames[at], frames[at + 1] = frames[at + 1], frames[at]
     there = {(kind, number) for kind, _, number in frames}
-    rule = AssemblyRule(starts_with=0, limit_s=0.015, by_counter=True)
+    rule = AssemblyRule(starts_with=0, limit_s=0.015, group_modulus=16)
     found = assemble(Assembler(rule, [0, 1, 2]), frames, random_cuts(len(frames), seed), by_counter=16)
     assert [row[0] for row in found] == [number for number in range(300) if (0, number) in there]
     for row in found:
@@ -167,7 +167,7 @@ def test_by_counter_copies_make_no_sample_and_all_else_is_used(pattern: tuple[in
     frames = [
         (kind, number * PERIOD_S + place * apart_s, number) for number in range(300) for place, kind in enumerate(pattern)
     ]
-    rule = AssemblyRule(starts_with=0, limit_s=0.015, by_counter=True)
+    rule = AssemblyRule(starts_with=0, limit_s=0.015, group_modulus=16)
     found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
     assert found == [[number, number] for number in range(300)]
     assert _step.left_out == len(frames) - 600
@@ -176,7 +176,7 @@ def test_by_counter_copies_make_no_sample_and_all_else_is_used(pattern: tuple[in
 @pytest.mark.parametrize("size", [1, 25, 1000])
 def test_by_counter_a_lost_round_is_no_copy(size: int) -> None:
     frames = [frame for frame in bus(300) if not 100 <= frame[2] < 115]
-    rule = AssemblyRule(starts_with=0, limit_s=0.015, by_counter=True)
+    rule = AssemblyRule(starts_with=0, limit_s=0.015, group_modulus=16)
     # The sample behind the gap has the count of the one before it.
     found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=16)
     assert found == [[number, number] for kind, _, number in frames if kind == 0]
@@ -187,10 +187,9 @@ def test_by_counter_a_lost_round_is_no_copy(size: int) -> None:
     ("rule", "modulus", "late_s"),
     [
         # The file states eight bits, and the counter begins anew behind 14.
-        pytest.param(AssemblyRule(starts_with=0, by_counter=True, group_modulus=256), 15, 0.005, id="a shorter round"),
-        pytest.param(AssemblyRule(0, limit_s=0.2, by_counter=True, group_modulus=16), 16, 0.0003, id="a long limit"),
-        pytest.param(AssemblyRule(0, limit_s=0.2, by_counter=True), 16, 0.0003, id="a round that nobody states"),
-        pytest.param(AssemblyRule(starts_with=0, by_counter=True, group_modulus=4), 4, 0.0003, id="two bits"),
+        pytest.param(AssemblyRule(starts_with=0, group_modulus=256), 15, 0.005, id="a shorter round"),
+        pytest.param(AssemblyRule(0, limit_s=0.2, group_modulus=16), 16, 0.0003, id="a long limit"),
+        pytest.param(AssemblyRule(starts_with=0, group_modulus=4), 4, 0.0003, id="two bits"),
     ],
 )
 @pytest.mark.parametrize("size", [1, 3, 2000])
@@ -203,3 +202,18 @@ def test_by_counter_no_frame_serves_another_sample(
     there = {(kind, number) for kind, _, number in frames}
     found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=modulus)
     assert found == [[number, number if (1, number) in there else None] for number in range(600) if (0, number) in there]
+
+
+@pytest.mark.parametrize("apart_s", [0.0, 2e-5])
+def test_by_counter_a_limit_that_is_stated_holds_where_stamps_are_those_of_a_read(apart_s: float) -> None:
+    """An adapter is read every 0.25 s, and the host stamps all frames then: the first of them show no period."""
+    kinds = [(kind, number) for number in range(2000) for kind in (0, 1)]
+    size, each_s = 51, 51 / 2 * PERIOD_S
+    frames = [
+        (kind, (place // size + 1) * each_s + place % size * apart_s, number) for place, (kind, number) in enumerate(kinds)
+    ]
+    rule = AssemblyRule(starts_with=0, limit_s=1.0, group_modulus=256)
+    found = assemble(Assembler(rule, [0, 1]), frames, [*range(size, len(frames), size)], by_counter=256)
+    # The first read ends within a sample, before a second one shows how long a round takes.
+    assert [row[0] for row in found] == [*range(2000)]
+    assert sum(row[1] != row[0] for row in found) <= 1
