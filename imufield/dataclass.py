@@ -1,12 +1,12 @@
-"""``dataclass`` as that of the standard library, except that ``__init__`` is compiled where a class has many objects.
+"""``dataclass`` as that of the standard library, except that ``__init__`` is compiled once a class has had a few objects.
 
 A short command imports 250 dataclasses, makes objects of half of them, and of most of these no more than three. The standard
 library compiles five or six methods of each at import, a fifth of the time of a short ``solve``. Here one is compiled, once the
-class has had a few objects; the others serve every class.
+class has had a few; the others serve every class.
 
-Other differences: what a type checker finds (a required field behind a default) is told at the first object, not at import;
-there is no ``InitVar``. A class derived from a frozen one of these takes this decorator, too, as what they are made with does
-not say that they are frozen; all others may take either.
+Other differences: what a type checker finds (a required field behind a default) is told by the ninth object, or to who looks at
+``__init__``, not at import; there is no ``InitVar``. A class derived from a frozen one of these takes this decorator, too, as
+what they are made with does not say that they are frozen; all others may take either.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ else:
         return decorate if cls is None else decorate(cls)
 
 
-_FEW = 8  # Objects filled field by field, which takes them some microseconds more each; to compile takes a hundred.
+_FEW = 8  # Objects that are filled field by field: some microseconds more each; compiling takes a hundred.
 
 
 class _LazyInit:

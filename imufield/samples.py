@@ -36,6 +36,8 @@ LARGEST_OFFSET_M_S2 = 30.0
 """Of an accelerometer: none has one of 3 g. What is larger is the raw zero of a converter."""
 NO_COUNTER = -1
 """Value of ``Samples.counter`` where the instrument sends none."""
+EDGE_MARGIN = 1e-6
+"""Of an interval, or s: a time such as 0.3 s is slightly below its edge in binary, and belongs to what begins there."""
 CELL_S = 0.1
 """What stillness is told by: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
 
@@ -270,6 +272,11 @@ def make_samples(
         status=np.zeros(n, dtype=np.uint32) if status is None else status,
         units=units,
     )
+
+
+def interval_of(time_s: FloatArray, width_s: float) -> IntArray:
+    """Return the numbers of the intervals of this width that hold some times, e.g. of cells."""
+    return np.asarray(np.floor(time_s / width_s + EDGE_MARGIN).astype(np.int64))
 
 
 def median(values: ArrayLike) -> FloatArray:

@@ -178,12 +178,12 @@ def test_a_first_object_in_each_of_many_threads() -> None:
         size: int
 
     made: list[Once] = []
-    threads = [threading.Thread(target=lambda: made.append(Once(3))) for _ in range(8)]
+    threads = [threading.Thread(target=lambda: made.append(Once(3))) for _ in range(20)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert made == [Once(3)] * 8
+    assert made == [Once(3)] * 20
 
 
 def test_super_finds_the_initialiser_of_a_base() -> None:

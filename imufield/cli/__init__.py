@@ -60,6 +60,8 @@ def main() -> None:
 
 def _bytes_or_codes(error: UnicodeError) -> tuple[str | bytes, int]:
     """Return the bytes that letters of a file's name stand for; of letters that the output's encoding lacks, their codes."""
+    if isinstance(error, UnicodeEncodeError):
+        error.end = error.start + 1  # One letter at a time: a run may hold both.
     try:
         return codecs.lookup_error("surrogateescape")(error)
     except UnicodeEncodeError:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.commands.options.result_commands import CertificateOptions
-from imufield.commands.terminal.output import say, write_output
+from imufield.commands.terminal.output import say, say_each, write_output
 from imufield.deliver.certificate.certificate import Certificate, Parties, issue_date, to_json
 from imufield.deliver.certificate.dcc import to_xml
 from imufield.deliver.certificate.label import label_svg
@@ -47,8 +47,7 @@ def run_certificate(options: CertificateOptions) -> tuple[Path, ...]:
         issued=issue_date(),
         due_months=options.due_months,
     )
-    for note in filter(None, (parameters.edited_note, parameters.verdict_note)):
-        say(note, err=True)
+    say_each(filter(None, (parameters.edited_note, parameters.verdict_note)), err=True)
     contents = _contents(certificate, with_pdf=options.pdf)
     # All before any is written: no page without its XML.
     for name in contents:

@@ -64,10 +64,10 @@ def run_export_data(options: ExportDataOptions) -> None:
 def _format_of(path: Path | None) -> str:
     """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none.
 
-    An end that is that of no format is returned as it is: nobody opens text as a spreadsheet of that name.
+    An unknown end is returned as it is, and then refused: CSV under the name of a spreadsheet helps nobody.
     """
     name = "" if path is None else path.name.lower()
     fitting = [to for to, form in FORMATS.items() if name.endswith((f".{form.suffix}", f".{to}"))]
     end = Path(name).suffix.removeprefix(".")
-    other = end if end.isalpha() and end not in _TEXT_ENDS else "csv"
+    other = "csv" if end in _TEXT_ENDS or not any(map(str.isalpha, end)) else end
     return max(fitting, key=lambda to: len(FORMATS[to].suffix), default=other)

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -203,7 +204,7 @@ def read_recording(
 def _hashed_beside(session: Session) -> Iterator[Callable[[], str]]:
     """Hash a long recording in a thread, which leaves the interpreter to others: beside the replay it costs little time."""
     if size_bytes(session.parts) < LONG_BYTES:
-        yield session.sha256
+        yield cache(session.sha256)
         return
     from concurrent.futures import ThreadPoolExecutor  # To import it takes as long as to hash a short one.
 

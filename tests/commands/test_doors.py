@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import shutil
 import signal
@@ -21,6 +22,7 @@ from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import LOCK_FILE, Session
 from imufield.acquire.registry import load_driver
+from imufield.cli import _bytes_or_codes
 from imufield.cli.run import run
 from imufield.commands.terminal.resume import connect_as_before
 from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
@@ -257,6 +259,12 @@ def test_letters_that_an_encoding_lacks_end_nothing(session: Path, program: Prog
     # Each letter of the two that it has none of, as its code; what it has stays.
     assert r"\u0141" in done.stdout
     assert "ó" in done.stdout
+
+
+def test_a_byte_beside_a_letter_that_an_encoding_lacks_stays_a_byte() -> None:
+    codecs.register_error("tests.pipe", _bytes_or_codes)
+    assert "a\udce4\u0141b".encode("latin-1", "tests.pipe") == rb"a" + b"\xe4" + rb"\u0141b"
+    assert "\u0141\udce4".encode("ascii", "tests.pipe") == rb"\u0141" + b"\xe4"
 
 
 def test_a_path_beyond_the_limit_is_refused_before_the_work(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -141,6 +141,13 @@ def test_samples_of_no_instrument_are_invalid(factor: float, tmp_path: Path) -> 
     fails(["solve", str(tmp_path / "session")], 6, Reason.TOO_FEW, key="solving.one_rest")
 
 
+def test_one_rest_without_a_gyroscope_says_how_to_hold_the_unit(tmp_path: Path) -> None:
+    rows = np.random.default_rng(1).normal([0.1, 0.2, 9.8], 0.01, (2000, 3))
+    np.savetxt(tmp_path / "rows.csv", rows, delimiter=",", header="ax_m_s2,ay_m_s2,az_m_s2", comments="")
+    assert run(["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", "-o", str(tmp_path / "session")]) == 0
+    fails(["solve", str(tmp_path / "session")], 6, Reason.TOO_FEW, key="solving.one_rest_in_hand")
+
+
 def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
     solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

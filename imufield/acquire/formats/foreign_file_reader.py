@@ -70,12 +70,12 @@ _FRAMES_A_LIMIT = 1 << 10  # It is a call to the system each time.
 
 
 def damage(*own: type[Exception]) -> tuple[type[Exception], ...]:
-    """Return what the libraries raise in damaged files, besides ending the process, and ``own`` of one of them.
+    """Return what libraries raise on damaged files, besides ending the process, and the errors ``own`` of one library.
 
     Their own errors derive from ValueError, OSError and RuntimeError, the others come out of the parsing of sizes, names and
     (NumPy) a head written in Python; rosbags asserts.
     """
-    # Late, as text and most files that are read have none.
+    # Imported late: most files need none of them.
     import sqlite3
     import tokenize
     import zipfile
@@ -297,6 +297,7 @@ def longest_s(size: int) -> float:
 
 def limit_memory(size: int) -> None:
     """Keep this process to the memory that a sound file of this size may need, where the system can."""
+    damage()  # What it names cannot be imported once the memory is full.
     present_bytes = 0
     # The address space that this process has taken already, where the system says.
     with suppress(OSError, ValueError):

@@ -1,6 +1,6 @@
-"""Read the numbers of lines that are alike, digit below digit, as MATLAB, Octave and ``printf`` write tables of one format.
+"""Read tables of fixed width, digit below digit, as MATLAB, Octave and ``printf`` write them.
 
-A place of all lines is an array, so that NumPy reads such lines five times as fast as its parser of text does. The numbers
+A place of all lines is an array, so that NumPy reads them several times as fast as its parser of text does. The numbers
 are the same to the last bit: fifteen digits and a power of ten up to 22 are exact, so that their product is rounded once
 (Clinger 1990, "How to read floating point numbers accurately").
 """

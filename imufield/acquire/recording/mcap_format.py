@@ -7,9 +7,9 @@ A part is magic, Header (profile ``imufield``), two Channels, one Metadata recor
     log time            UTC arrival in nanoseconds
 
 Every Chunk is zstd with the CRC of its content and stands alone, so any prefix of a part can be read and any damaged chunk
-skipped. There is no index: it would grow with the recording, and a reader that follows it fails on a torn file. For the same
-reason the six kinds of records are packed here and not by the ``mcap`` package, whose ``Writer`` keeps an index entry of each
-chunk in memory even when told to write none.
+skipped. There is no index: it would grow with the recording, and a reader that follows it fails on a torn file. The ``Writer``
+of the ``mcap`` package would keep an index entry of each chunk in memory even when told to write none, and its record classes
+take 6 ms to import, so all seven kinds of records are packed here.
 
 Nothing here opens a file or reads a clock.
 """

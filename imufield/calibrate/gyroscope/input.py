@@ -129,7 +129,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=observations.gyroscope_unrounded_covariance,
         rounding_covariance=observations.gyroscope_rounding(),
-        # As the moves meet it.
+        # At the attitude where moves begin and end.
         force=rotate(exponential(-observations.middle_rad), given.force_m_s2),
         moves=centre(moves, rest, _slot_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),
@@ -220,7 +220,7 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     moves = len(given.moves)
     # The same number in all moves is what no rotating gyroscope gives.
     slots = given.moves.slots
-    slots = slots[np.flatnonzero(slots.duration_s > SHORTEST_SLOT_S)]
+    slots = slots[slots.duration_s > SHORTEST_SLOT_S]
     rate_raw = slots.turn / slots.duration_s[:, None]
     low, high = rate_raw.min(axis=0, initial=np.inf), rate_raw.max(axis=0, initial=-np.inf)
     dead = high - low <= _CONSTANT * np.maximum(np.abs(rate_raw).max(axis=0, initial=0.0), np.finfo(float).tiny)

@@ -185,7 +185,10 @@ class Evaluation:
         return len(self.tangent)
 
     def moved(self, change: FloatArray) -> Evaluation:
-        """Return what moves predict after a small change of the instrument's parameters, shape (21,), in first order."""
+        """Return it with the predictions of slightly other instrument parameters, shape (21,), in first order.
+
+        All else stays, the Earth's rate too.
+        """
         return replace(self, predicted=self.predicted + cross(self.predicted, self.turns.jacobian @ change))
 
     def angle_error_rad(self, up_after: FloatArray) -> FloatArray:

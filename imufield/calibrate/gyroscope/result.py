@@ -284,7 +284,7 @@ def _result(
 ) -> GyroscopeResult:
     """Return what holds for every fit: the parameters at ``x`` with shares ``own``, and the sigma of the known ones."""
     values, J = forward(x, solution.given.rest_raw)
-    # What no turn shows is as it was, but for what the inverse of A makes of the others.
+    # What no turn shows keeps the preset's value: the inverse of A would mix the others into it.
     preset = solution.given.preset
     before = np.zeros((3, 3)) if preset is None else preset.misalignment_rad
     angles = slice(3, 9)

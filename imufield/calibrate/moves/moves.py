@@ -22,10 +22,9 @@ from imufield.calibrate.moves.range_ends import LargestOutputs, without_table_ra
 from imufield.calibrate.moves.slots import (
     PLATEAU,
     SHORTEST_SLOT_S,
-    SLOT_MARGIN,
+    SLOT_S,
     SlotFlag,
     Slots,
-    interval_of,
     join_cells,
     join_runs,
     no_slots,
@@ -37,6 +36,7 @@ from imufield.calibrate.moves.slots import (
 from imufield.dataclass import dataclass, replace
 from imufield.samples import (
     CELL_S,
+    EDGE_MARGIN,
     LARGEST_OUTPUT,
     FloatArray,
     IntArray,
@@ -45,6 +45,7 @@ from imufield.samples import (
     Status,
     concatenate,
     every,
+    interval_of,
     median,
 )
 from imufield.sentences import Sentence, Sentences
@@ -54,10 +55,8 @@ sentence = Sentences(__package__)
 _GUARD_CELLS = 10  # Kept between the stretched still and what looks like motion.
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
-SLOT_S = 0.005
 _BRIDGED_S = 0.03  # Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples.
-_BRIDGED_IN_HAND_S = 0.3  # Within a hold in the hand, with the cell that the loss is in: sway is slow.
 _LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
 _INTERRUPTED_S = 1.0  # A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out.
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
@@ -65,7 +64,7 @@ _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 
 
-def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
+def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, in_hand: NDArray[np.bool_]) -> FloatArray:
     """Return begin and end of each still, stretched, shape (s, 2).
 
     Parameters
@@ -74,7 +73,7 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, 
         Begin of each cell of the session and ``slot_sums`` in it, in time order.
     stills : ndarray, shape (s, 2)
         Begin and end, in time order.
-    held : ndarray of bool, shape (s,)
+    in_hand : ndarray of bool, shape (s,)
         Which of them are of a unit in the hand; they stay as they are.
     """
     cells = sums[:, 1:] / np.maximum(sums[:, :1], SHORTEST_SLOT_S)
@@ -82,7 +81,7 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray, 
     high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
     stretched = stills.copy()
     for k in range(len(stills)):
-        if held[k] or high[k] - low[k] < _FEWEST:
+        if in_hand[k] or high[k] - low[k] < _FEWEST:
             continue
         before = int(high[k - 1]) if k else 0
         after = int(low[k + 1]) if k + 1 < len(stills) else len(cell_s)
@@ -175,11 +174,11 @@ class MoveCollector:
         cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_parts, strict=True)))
         order = np.argsort(start_s, kind="stable")
         stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
-        stills = stretch_stills(cell_s, sums, stills=stills, held=np.isfinite(_middles(middle_s, order)))
+        stills = stretch_stills(cell_s, sums, stills=stills, in_hand=np.isfinite(_middles(middle_s, order)))
         # The last still that begins before each cell: whole cells of it are joined.
-        still = np.searchsorted(stills[:, 0], cell_s + SLOT_MARGIN, side="right") - 1
+        still = np.searchsorted(stills[:, 0], cell_s + EDGE_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
-        inside = (still >= 0) & (next_s <= stills[still, 1] + SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
+        inside = (still >= 0) & (next_s <= stills[still, 1] + EDGE_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
         groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
         joined = [join_cells(group, cell_s, inside) for group in map(stack_slots, groups)]
         # Where a group ended in the middle of a cell.
@@ -336,18 +335,19 @@ def cut_moves(
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s, pauses_s = np.maximum.accumulate(slots.start_s), np.empty(0) if resumed_s is None else resumed_s
     stills, middles = np.stack([start_s, start_s + duration_s], axis=1)[order], _middles(middle_s, order)
-    held = np.isfinite(middles)
+    in_hand = np.isfinite(middles)
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
         rate = slots.turn / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
         ends = without_table_rates(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
-        stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills, held=held)
+        stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills, in_hand=in_hand)
+    edges = np.where(in_hand[:, None], middles[:, None], stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
-        between = (float(stills[k, 1]), float(stills[k + 1, 0]))
-        begin, end = (float(middles[at]) if held[at] else side for at, side in zip((k, k + 1), between, strict=True))
-        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - SLOT_MARGIN, end - SLOT_MARGIN]))
+        between = float(stills[k, 1]), float(stills[k + 1, 0])
+        begin, end = float(edges[k, 1]), float(edges[k + 1, 0])
+        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - EDGE_MARGIN, end - EDGE_MARGIN]))
         fault = _fault(slots[low:high], begin, end, ends, between=between)
         # Where the operator had stopped there is nothing to check.
         if fault and fault.key == "moves.interrupted" and np.any((pauses_s >= begin - CELL_S) & (pauses_s <= end)):
@@ -387,8 +387,8 @@ def _fault(
     if flags & SlotFlag.CLOCK_JUMP:
         return sentence("moves.clock_jump", **span)
     in_hold = (slots.start_s < between[0]) | (slots.start_s >= between[1])
-    is_lost = (slots.flags & np.uint8(SlotFlag.LOST)) != 0
-    is_lost &= ~in_hold | (slots.duration_s > _BRIDGED_IN_HAND_S)
+    # Within a hold in the hand sway is slow, and two lost cells have ended it.
+    is_lost = ((slots.flags & np.uint8(SlotFlag.LOST)) != 0) & ~in_hold
     hole_s = float(slots.duration_s[is_lost].sum())
     if hole_s or covered < end - begin - _BRIDGED_S - CELL_S:
         missing_s = max(hole_s, end - begin - covered)

@@ -13,7 +13,7 @@ For *any* linear model ``w = A (N - e)`` the rotation vector of the slot is, to 
 
 because ``A x  x  A y = cof(A) (x x y)``. The second term is coning. What is left out is of third order: 1e-8 rad a slot for a
 hand at 4 rad/s. Neighbouring slots join exactly in the same order (``join_slots``), so quiet stretches of a long recording are
-kept as slots of 0.1 s.
+kept as slots of 0.1 s. ``moves.MoveCollector`` makes them of samples.
 
 References
 ----------
@@ -29,13 +29,15 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
 from imufield.dataclass import dataclass, fields
-from imufield.samples import CELL_S, FloatArray, IntArray
+from imufield.samples import CELL_S, FloatArray, IntArray, interval_of
 
 SHORTEST_SLOT_S = 1e-9
 """Instead of nothing, for a slot of a clock that stood."""
 
-SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
-PLATEAU = 4  # Equal values in a row at an end of the range that make it a saturated axis.
+SLOT_S = 0.005
+"""Length of a slot."""
+PLATEAU = 4
+"""Equal values in a row at an end of the range that make it a saturated axis."""
 
 
 class SlotFlag(IntFlag):
@@ -124,11 +126,6 @@ def sum_cells(start_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatA
     """Return begin and sums of the cells that rows in time order belong to, of slots or of parts of cells."""
     starts = run_starts(interval_of(start_s, CELL_S))
     return start_s[starts], np.add.reduceat(sums, starts)
-
-
-def interval_of(time_s: FloatArray, width_s: float) -> IntArray:
-    """Return the numbers of the slots or cells, of this width, that hold some times."""
-    return np.asarray(np.floor(time_s / width_s + SLOT_MARGIN).astype(np.int64))
 
 
 def run_starts(number: IntArray) -> IntArray:

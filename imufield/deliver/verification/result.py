@@ -312,8 +312,8 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
     duration = duration_words(result.navigated_s)
     how = sentence("result.navigation", duration=duration, align_s=settings.align_s, heading=heading, turned=turned)
     yield from _wrapped(f"Static navigation: {how}")
-    columns = f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}"
-    yield columns if forecast is None else f"{columns}  95 %"
+    limit = "95 %" if forecast else ""
+    yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  {limit}".rstrip()
     unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
     yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if forecast else ''}".rstrip()
     for name, drift in result.drifts.items():

@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
 from imufield.dataclass import dataclass
 from imufield.guide.hold.triad_delay import triad_delay
-from imufield.guide.stillness.cells import slots_of
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples, median
+from imufield.samples import CELL_S, FloatArray, Samples, interval_of, median
 
 _STEP_S = 0.004  # Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it.
 _TREMOR_S = 0.25  # A running mean this long separates tremor (above 4 Hz) from sway.
@@ -145,7 +144,7 @@ def mean_in_hand(
     # Gravity does not show heading: the net turn about the vertical stays in the mean rate, as large as the sway.
     turn_sigma = gyroscope_scale * math.sqrt(2) * max(sway_rad, _LEAST_SWAY_RAD) / float(np.ptp(steps.time_s))
     # Moves are cut where a cell begins, by the times of the gyroscope.
-    slots = slots_of(samples.time_s)
+    slots = interval_of(samples.time_s, CELL_S)
     middle_s = float(samples.time_s[np.searchsorted(slots, slots[len(slots) // 2])])
     jolt, usual_jolt, jolt_after_s = _jolt(steps.time_s, turned / (scale.accelerometer or math.nan))
     return HandMean(

@@ -83,5 +83,5 @@ def measure_in_hand(cells: Cells, history: SampleHistory, detector: StillnessDet
     # What is rounded to one code on a table is not in the hand.
     step = cells.step[:, 3:].min(axis=0)
     rounding = ROUNDING * np.where(np.isfinite(step), step, 0.0) * math.sqrt(CELL_S / detector.floor.samples_per_cell)
-    density = np.append(density[:3], np.maximum(density[3:], rounding))
+    density[3:] = np.maximum(density[3:], rounding)
     return mean_in_hand(samples, detector.scale, density, knocks_of(cells, detector.limits))

@@ -22,11 +22,11 @@ from imufield.guide.lead.live import LiveFeed, Signals
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import TABLE, Input, State
 from imufield.guide.positions import Scheme
-from imufield.guide.stillness.cells import CellBuilder, Cells, slots_of
+from imufield.guide.stillness.cells import CellBuilder, Cells
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.samples import CELL_S, Samples, SampleUnits
+from imufield.samples import CELL_S, Samples, SampleUnits, interval_of
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -172,7 +172,7 @@ class Guide:
         if self.state in (State.LOST, State.DONE) or math.isnan(time_s):
             self._apply_mark(action, position)
         else:
-            self._marks.append((int(slots_of(np.array([time_s]))[0]), action, position))
+            self._marks.append((int(interval_of(np.array([time_s]), CELL_S)[0]), action, position))
             self._marks.sort(key=lambda mark: mark[0])
         return self._speaker.take()
 

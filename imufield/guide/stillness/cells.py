@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.dataclass import dataclass, fields
-from imufield.samples import CELL_S, UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
-
-# Share of a slot. A time such as 0.3 s is slightly below its slot in binary and belongs to the slot it means.
-_SLOT_MARGIN = 1e-6
+from imufield.samples import CELL_S, UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every, interval_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,12 +122,6 @@ def cells_in(duration_s: float) -> int:
     return round(duration_s / CELL_S)
 
 
-def slots_of(time_s: FloatArray) -> IntArray:
-    """Return the slot of each time, shape (n,)."""
-    slots: IntArray = np.floor(time_s * (1 / CELL_S) + _SLOT_MARGIN).astype(np.int64)
-    return slots
-
-
 class CellBuilder:
     """Cuts samples into cells."""
 
@@ -142,14 +133,14 @@ class CellBuilder:
         """Return the cells finished by these samples, None when there are none."""
         if not len(samples):
             return None
-        slot = slots_of(samples.time_s)
+        slot = interval_of(samples.time_s, CELL_S)
         first, last = int(slot[0]), int(slot[-1])
         if first == last == self._pending_slot and every(slot == first):
             self._pending.append(samples)
             return None
         if self._pending:
             samples = concatenate([*self._pending, samples])
-            slot = slots_of(samples.time_s)
+            slot = interval_of(samples.time_s, CELL_S)
         changes = (slot[1:] != slot[:-1]).nonzero()[0]
         cut = int(changes[-1]) + 1 if len(changes) else 0
         self._pending, self._pending_slot = [samples[cut:]], last
@@ -161,7 +152,7 @@ class CellBuilder:
             return None
         samples = concatenate(self._pending)
         self._pending, self._pending_slot = [], None
-        return measure_cells(samples, slots_of(samples.time_s))
+        return measure_cells(samples, interval_of(samples.time_s, CELL_S))
 
 
 def measure_cells(samples: Samples, slot: IntArray) -> Cells:

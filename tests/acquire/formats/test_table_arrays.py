@@ -190,13 +190,19 @@ def numpy_trap_of_truth(path: Path) -> None:
         np.savez_compressed(file, acc=np.zeros((5_000_000, 3), dtype=np.bool_))
 
 
+def numpy_trap_in_pieces(path: Path) -> None:
+    """No piece is large: the memory is used up when it ends."""
+    with path.open("wb") as file:
+        np.savez_compressed(file, *[np.zeros(12_500)] * 3000)
+
+
 def numpy_trap_of_many(path: Path) -> None:
     with path.open("wb") as file:
         np.savez(file, *[np.zeros(2)] * 5000)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
-@pytest.mark.parametrize("write", [hdf5_trap, numpy_trap])
+@pytest.mark.parametrize("write", [hdf5_trap, numpy_trap, numpy_trap_in_pieces])
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
     assert path.stat().st_size < 10_000_000

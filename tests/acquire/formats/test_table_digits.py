@@ -44,7 +44,7 @@ def test_numbers_are_read_to_the_last_bit(kind: str, end: str) -> None:
 
 def test_powers_are_exact_at_both_ends() -> None:
     mantissas, powers = ("-9.99999999999999", " 1.00000000000001", " 0.00000000000000"), range(-8, 37)
-    lines = "".join(f"{m}e{p:+03d}\n" for m, p in itertools.product(mantissas, powers) if abs(p - 14) <= 22).encode()
+    lines = "".join(f"{m}e{p:+03d}\n" for m, p in itertools.product(mantissas, powers)).encode()
     found = read_alike(lines, None, 1)
     assert found is not None
     assert found.tolist() == as_python_reads(lines, None)

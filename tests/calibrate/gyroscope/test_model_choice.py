@@ -108,6 +108,12 @@ def test_what_is_named_is_in_the_sigma() -> None:
     linearity = solution_of(found).linearity
     assert np.all(off < 2 * found.calibration.sigma.scale)
     assert np.linalg.norm(linearity.hidden_root[:9]) > 5e-4
+    # The closing errors are those of the reported parameters, which the fit's are not.
+    data, fit = solution_of(found).data, solution_of(found).chosen.fit
+    up_after = data.up[data.moves.after]
+    exact = evaluate(fit.p - linearity.moved, data).angle_error_rad(up_after)
+    assert found.moves.after_deg == pytest.approx(np.degrees(exact), abs=1e-3)
+    assert np.degrees(np.abs(exact - fit.evaluation.angle_error_rad(up_after)).max()) > 5e-3
 
 
 def table(session: Session, rates_deg_s: Sequence[float], *, asymmetry: float = 0.0, cubic: float = 0.0) -> list[TurntableRun]:

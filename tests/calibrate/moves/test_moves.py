@@ -186,11 +186,11 @@ def test_two_stills_of_one_rest_are_not_stretched_over_one_another() -> None:
     """All ten seconds are calm."""
     sums = np.column_stack([np.full(100, 0.1), 0.1 * np.random.default_rng(1).standard_normal((100, 6))])
     stills = np.array([[0.5, 2.5], [6.5, 8.5]])
-    found = stretch_stills(np.arange(100) / 10, sums, stills=stills, held=np.zeros(2, dtype=np.bool_))
+    found = stretch_stills(np.arange(100) / 10, sums, stills=stills, in_hand=np.zeros(2, dtype=np.bool_))
     assert found[0, 1] <= found[1, 0]
     assert found[1, 1] > 8.5
     # A hand sways all the time.
-    found = stretch_stills(np.arange(100) / 10, sums, stills=stills, held=np.array([True, False]))
+    found = stretch_stills(np.arange(100) / 10, sums, stills=stills, in_hand=np.array([True, False]))
     assert found[0].tolist() == stills[0].tolist()
     assert found[1, 1] > 8.5
 
