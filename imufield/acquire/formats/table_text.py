@@ -94,7 +94,7 @@ class TextTable:
         line = 0
         for block in _line_blocks(self.path):
             below = block.split(b"\n", max(self.lines_before - line, 0))[-1]
-            is_plain = not self.decimal_comma and not self.text_columns
+            is_plain = not self.decimal_comma and not self.text_columns and max(columns) < self.width
             alike = read_alike(below, self.delimiter, self.width) if is_plain else None
             if alike is not None:
                 yield alike[:, [*columns]]

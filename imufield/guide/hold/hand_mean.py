@@ -47,6 +47,7 @@ _REGULAR = 0.2  # Share of the sample interval: stamps that come closer do not t
 _BRIDGED_S = 0.04  # Samples are bridged over holes up to this long; half a period of tremor at 12 Hz.
 # Spacing of the second difference that tells a bump: it passes 30 Hz eight times better than the tremor at 10 Hz.
 _JOLT_S = 0.01
+_ACROSS_HOLE = 1.5  # Of the usual time between three forces.
 _LEAST_SWAY_RAD = 1e-6  # The net turn about the vertical is known no better than to this.
 
 
@@ -169,6 +170,9 @@ def _jolt(time_s: FloatArray, force: FloatArray) -> tuple[float, float, float]:
     if len(force) < 4 * stride:
         return 0.0, math.inf, math.nan
     size = np.linalg.norm(force[2 * stride :] - 2 * force[stride:-stride] + force[: -2 * stride], axis=1)
+    # Across a hole the three are farther apart, and tremor makes more of it.
+    span_s = time_s[2 * stride :] - time_s[: -2 * stride]
+    size[span_s > _ACROSS_HOLE * median(span_s)] = 0.0
     largest = int(np.argmax(size))
     return float(size[largest]), float(median(size)), float(time_s[largest + stride] - time_s[0])
 
@@ -220,12 +224,23 @@ def _bridged(
     """
     gap = np.diff(time_s)
     lost = np.rint(gap / sample_s).astype(np.int64) - 1
-    holes = np.flatnonzero((lost > 0) & (gap <= _BRIDGED_S))
+    # Through means over a quarter of the hole: a polynomial through the nearest samples alone magnifies their noise.
+    each, place = lost * 2 // _POINTS + 1, np.arange(1, len(time_s))
+    # At an end, where the taper is zero, they do not lie on both sides.
+    inside = np.minimum(place, len(time_s) - place) >= each * _POINTS // 2
+    holes = np.flatnonzero((lost > 0) & (gap <= _BRIDGED_S) & inside)
     # Stamps too coarse for the rate come in pairs, and no two samples tell what is missing between them.
     if not len(holes) or gap.min() < _REGULAR * sample_s:
         return time_s, force, rate
     missing = np.concatenate([time_s[k] + gap[k] * np.arange(1, lost[k] + 1) / (lost[k] + 1) for k in holes])
-    filled = _interpolate(time_s, np.concatenate([force, rate], axis=1), missing)
+    samples = np.concatenate([force, rate], axis=1)
+    nodes, values = np.empty((len(holes), _POINTS)), np.empty((len(holes), _POINTS, 6))
+    for size in np.unique(each[holes]).tolist():
+        which = each[holes] == size
+        rows = place[holes[which], None, None] + np.arange(-size * _POINTS // 2, size * _POINTS // 2).reshape(_POINTS, size)
+        nodes[which], values[which] = time_s[rows].mean(axis=2), samples[rows].mean(axis=2)
+    of_hole = np.repeat(np.arange(len(holes)), lost[holes])
+    filled = _through(nodes[of_hole], values[of_hole], missing)
     places = np.searchsorted(time_s, missing)
     return (
         np.insert(time_s, places, missing),
@@ -249,13 +264,18 @@ def _sharpened(time_s: FloatArray, mean: FloatArray, spread: FloatArray) -> Floa
 
 def _interpolate(nodes: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """Return values (n, 3) between nodes by the polynomial through the nearest; a straight line loses tremor."""
-    first = np.clip(np.searchsorted(nodes, at) - _POINTS // 2, 0, len(nodes) - _POINTS)
-    near = nodes[first[:, None] + np.arange(_POINTS)] - at[:, None]
-    result = np.zeros((len(at), values.shape[1]))
+    rows = np.clip(np.searchsorted(nodes, at) - _POINTS // 2, 0, len(nodes) - _POINTS)[:, None] + np.arange(_POINTS)
+    return _through(nodes[rows], values[rows], at)
+
+
+def _through(nodes: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the values at some times of polynomials through nodes, shape (n, p), and values there, (n, p, c)."""
+    near = nodes - at[:, None]
+    result = np.zeros((len(at), values.shape[2]))
     for k in range(_POINTS):
         others = np.delete(near, k, axis=1)
         share = np.prod(others / (others - near[:, k, None]), axis=1)
-        result += share[:, None] * values[first + k]
+        result += share[:, None] * values[:, k]
     return result
 
 

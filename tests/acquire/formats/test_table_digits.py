@@ -10,6 +10,8 @@ import pytest
 
 from imufield.acquire.formats.table_digits import read_alike
 from imufield.acquire.formats.table_text import open_table
+from imufield.errors import Reason, RecordingError
+from tests.refused import refused
 
 _RNG = np.random.default_rng(5)
 ROWS = _RNG.uniform(1000, 9999, (40, 3)) * _RNG.choice([-1, 1], (40, 3))
@@ -93,3 +95,10 @@ def test_a_table_is_the_same_whatever_stands_around_its_rows(tmp_path: Path, hea
     path.write_bytes(heading.encode() + lines_of("%15.7e%15.7e%15.7e", ROWS) + last.encode())
     wanted = [[float(f"{value:.7e}") for value in row] for row in ROWS] + [[0.5] * 3] * (len(last.split()) == 3)
     assert open_table(path).read((2, 0)).tolist() == [[row[2], row[0]] for row in wanted]
+
+
+def test_a_heading_of_more_columns_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "table.txt"
+    path.write_bytes(b"time ax ay az gx\n" + lines_of("%15.7e%15.7e%15.7e", ROWS))
+    with refused(RecordingError, Reason.BAD_DATA, str(path), "3 columns", key="table_text.narrow_rows"):
+        open_table(path).read((0, 4))

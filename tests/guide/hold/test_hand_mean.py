@@ -140,6 +140,24 @@ def test_the_attitude_in_the_middle_is_told(delay_s: float) -> None:
     assert angle_deg(turned, np.array(there)) < 0.01 < 0.1 < angle_deg(found.force_raw, np.array(there))
 
 
+@pytest.mark.parametrize("lost_s", [0.004, 0.012, 0.03, 0.05, 0.07])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hole_is_no_bump(seed: int, lost_s: float) -> None:
+    """Every 2 ms a sample with the noise of a tactical instrument: bridged or not, a hole adds little, and is no jolt."""
+    samples, _ = hold(seed, tremor_rad=math.radians(0.1), sway_rad=math.radians(0.3), sway_m=0.0)
+    noise = np.random.default_rng(seed).standard_normal((2, len(samples), 3)) * [[[0.02]], [[0.002]]]
+    samples = replace(samples, accelerometer=samples.accelerometer + noise[0], gyroscope=samples.gyroscope + noise[1])
+    elapsed_s = samples.time_s - samples.time_s[0]
+    whole = mean_in_hand(samples, SI, QUIET)
+    for begin_s in (0.01, 3.3, 6.1, 9.7):
+        found = mean_in_hand(samples[np.flatnonzero((elapsed_s < begin_s) | (elapsed_s >= begin_s + lost_s))], SI, QUIET)
+        assert found is not None
+        assert whole is not None
+        assert found.jolt_m_s2 < 0.7 * JOLT_SHARE * found.usual_jolt_m_s2
+        if lost_s <= 0.04:
+            assert np.linalg.norm(found.force_raw - whole.force_raw) < 60 * MICRO_G
+
+
 def test_knocks_are_left_out() -> None:
     samples, gravity = hold(3, **TREMOR)
     knocked = (samples.time_s > samples.time_s[0] + 4) & (samples.time_s < samples.time_s[0] + 4.1)
