@@ -95,6 +95,7 @@ def what_is_left(names: Sequence[str]) -> Sentence:
 # A hold that ends by motion; the unit is that of the triad that moved.
 MOVED = RefusalKind(RefusalCode.MOVED, "refusals.moved", "refusals.moved_remedy")
 MOVED_AGAIN = RefusalKind(RefusalCode.MOVED, "refusals.moved", "refusals.moved_again_remedy")
+TOO_SHORT_IN_HAND = RefusalKind(RefusalCode.MOVED, "refusals.short_in_hand", "refusals.short_in_hand_remedy", "s")
 NOT_STILL = RefusalKind(RefusalCode.NOT_STILL, "refusals.not_still", "refusals.not_still_remedy")
 
 # Where the unit is.

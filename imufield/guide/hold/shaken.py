@@ -21,7 +21,7 @@ _KEPT_DEG = 3.0  # Between the directions of blocks: a slow turn by hand makes 1
 
 
 class ShakenHold(NamedTuple):
-    """A stretch that would be a hold if it did not shake."""
+    """A stretch that would be a hold if it did not shake, or lasted longer."""
 
     start_s: float
     mean_raw: FloatArray

@@ -13,18 +13,18 @@ from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, che
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
-from imufield.guide.hold.in_hand import SampleHistory, measure_in_hand, trim_in_hand
+from imufield.guide.hold.in_hand import HAND_GUARD_S, SampleHistory, measure_in_hand, trim_in_hand
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
-from imufield.guide.hold.shaken import ShakenHolds
+from imufield.guide.hold.shaken import ShakenHold, ShakenHolds
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
 from imufield.guide.positions import angle_deg, nearest_cube_direction
-from imufield.guide.refusals import FROZEN, Refusal
+from imufield.guide.refusals import FROZEN, TOO_SHORT_IN_HAND, Refusal
 from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
-from imufield.samples import Samples, SampleUnits, median
+from imufield.samples import CELL_S, Samples, SampleUnits, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -35,6 +35,8 @@ _SHORTEST_IN_HAND_S = 3.0
 _LONGEST_IN_HAND_S = 45.0  # Nobody holds still for longer: a person walks with the unit, or a car drives.
 _HISTORY_S = 120.0  # Samples kept: longer than such a hold, and what is still before and behind it.
 _TURNED_DEG = 20.0  # Of the force between two holds in the hand; a car that brakes tilts it by as much.
+_NOTED_IN_HAND_S = 2.0  # One in the hand that is shorter than it must be, and longer than a pause in a motion.
+_HABIT = 4  # Of these in a session: a person holds too shortly, and does not pause by chance.
 _LONG_IN_HAND_S = 5.0  # One in the hand that is as still as on a table is measured as such where it is shorter.
 _HAND_SHOWS_S = 2.5  # Whether a unit is in the hand or on a table shows so long after it came to rest.
 
@@ -75,6 +77,7 @@ class StillIntervalFinder:
         self._lain: Stretch | None = None  # The latest one that was as still as on a table.
         self._put_down = True  # Whether the unit was put down since the last of the placements.
         self._shaken = ShakenHolds()
+        self._short: list[ShakenHold] = []  # In the hand.
         self._rest_raw = np.full(3, np.nan)  # Of the gyroscope, in the hold before.
         self._outputs = Outputs()
         self._moves = MoveLog()
@@ -119,19 +122,22 @@ class StillIntervalFinder:
             else:
                 name = f"free {len(found) + 1}: near {nearest_cube_direction(scale.specific_force(observation.mean_raw))}"
                 found.append(replace(self._outputs.with_resolution(observation), name=name))
+        refused += self._elsewhere(self._shaken.found, scale)
+        short = self._elsewhere(self._short, scale)
+        refused += short if len(short) >= _HABIT else []
         return StillIntervals(
             observations=gather(found, self.units),
-            refused=tuple(sorted([*refused, *self._shaken_elsewhere(scale)], key=lambda still: still[0])),
+            refused=tuple(sorted(refused, key=lambda still: still[0])),
             scale=scale,
             axes=check_axes(self._moves.moves(scale), scale.gyroscope),
             sticking=self._outputs.sticking(),
         )
 
-    def _shaken_elsewhere(self, scale: RoughScale) -> list[tuple[float, Refusal]]:
-        """Return the holds that shook, except where the unit lay still just before or afterwards: it was put down there."""
+    def _elsewhere(self, holds: list[ShakenHold], scale: RoughScale) -> list[tuple[float, Refusal]]:
+        """Return these holds except where the unit lay still just before or afterwards: it was put down there."""
         refused = list[tuple[float, Refusal]]()
         times_s = [observation.start_s for observation, _ in self._placements]
-        for start_s, mean_raw, refusal in self._shaken.found:
+        for start_s, mean_raw, refusal in holds:
             after = bisect(times_s, start_s)
             near = (observation.mean_raw for observation, _ in self._placements[max(after - 1, 0) : after + 1])
             up = scale.up(mean_raw)
@@ -171,6 +177,8 @@ class StillIntervalFinder:
         self._lain = self._lain if in_hand else stretch
         hold = self._hold(stretch, in_hand=in_hand)
         if hold is None:
+            if in_hand:
+                self._note_short(stretch)
             return
         self._rest_raw = median(hold.cells.mean[:, 3:])
         placement = observe(hold.cells, hold.limits, "", hand_mean=hold.hand_mean), examine(hold)
@@ -184,6 +192,19 @@ class StillIntervalFinder:
         self._outputs.add(placement[0].output, again=not self._put_down)
         self._placements.append(placement)
         self._put_down = False
+
+    def _note_short(self, stretch: Stretch) -> None:
+        """Note a hold in the hand that is too short; where samples are missing, one that goes on is the same."""
+        duration_s, limit_s, mean_raw = (
+            stretch.judged * CELL_S,
+            _SHORTEST_IN_HAND_S + 2 * HAND_GUARD_S,
+            np.array(stretch.mean[:3]),
+        )
+        up = self.detector.scale.up
+        goes_on = bool(self._short) and angle_deg(up(mean_raw), up(self._short[-1].mean_raw)) < _TURNED_DEG
+        if _NOTED_IN_HAND_S <= duration_s < limit_s and not goes_on:
+            refusal = TOO_SHORT_IN_HAND.refusal(duration_s, limit_s)
+            self._short.append(ShakenHold(float(stretch.cells().start_s[0]), mean_raw, refusal))
 
     def _hold(self, stretch: Stretch, *, in_hand: bool) -> HoldUnderTest | None:
         """Return the hold of a stretch, guard bands off; None where it is too short."""
