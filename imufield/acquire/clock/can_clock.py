@@ -265,12 +265,19 @@ class CanClock(Clock):
         return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
 
     def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
-        """Return which steps are restarts: frames come late, never early, so a count far ahead of its stamp did not go on."""
+        """Return which steps are restarts: frames come late, never early, so a count far ahead of its stamp did not go on.
+
+        Nor did the count that a counter begins with, where its stamp is far behind.
+        """
         anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s, phase.period_s
+        if phase.is_blind or self._last_counter is None:
+            return anew
         # Not where a frame has overtaken another, nor where the clock of the stamps was set.
         long = (forward * T > _DISPROVED_S) & (self._modulus - forward * self._counter_step > _OUT_OF_ORDER)
-        places = np.flatnonzero(long & ((block.status & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
-        if phase.is_blind or self._last_counter is None or not places:
+        is_first = (block.counter - self._first) % self._modulus <= _OUT_OF_ORDER * self._counter_step
+        is_first &= (forward > 1) & self._is_count(block.counter)
+        places = np.flatnonzero((long | is_first) & ((block.status & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
+        if not places:
             return anew
         steps, tolerance_s = self._without_steps_back(forward), max(_DISPROVED_S, 2 * phase.delay_s)
         before = phase.number + np.cumsum(steps) - steps
@@ -280,7 +287,9 @@ class CanClock(Clock):
             earliest_s = min(earliest_s, float(early_s[done:place].min(initial=math.inf)) + shift_s)
             done, leap_s = place, float(forward[place]) * T
             lag_s = float(stamp_s[place] - before[place] * T) - leap_s + shift_s
-            if earliest_s + _LATER * stamp_s[place] - lag_s > tolerance_s + _PERIOD_ERROR * leap_s:
+            last_s = float(stamp_s[place - 1] - before[place] * T) + shift_s if place else phase.base_s
+            is_ahead = earliest_s + _LATER * stamp_s[place] - lag_s > tolerance_s + _PERIOD_ERROR * leap_s
+            if is_ahead or (is_first[place] and lag_s - last_s > tolerance_s):
                 anew[place] = True
                 shift_s += float(steps[place] - 1) * T
         return anew

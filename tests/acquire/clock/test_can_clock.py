@@ -337,6 +337,19 @@ def test_a_counter_of_another_step_and_lost_counter_messages() -> None:
     assert statistics.losses_estimated == 0
 
 
+@pytest.mark.parametrize("modulus", [256, 65536])
+@pytest.mark.parametrize("silence", [100, 200, 300, 1000])
+@pytest.mark.parametrize("block", [1, 50, 4000])
+def test_a_counter_that_begins_anew_behind_a_silence_loses_what_the_stamps_show(modulus: int, silence: int, block: int) -> None:
+    """A power cycle: the counter begins at 0, as if a part of a round, or of another, had been lost."""
+    there = np.concatenate([np.arange(1500), np.arange(1500 + silence, 4000)])
+    counter = np.concatenate([np.arange(1500), np.arange(2500 - silence)]) % modulus
+    samples, statistics = run(there / 100.0 + jitter(len(there), 1e-4), counter=counter, modulus=modulus, block=block)
+    assert statistics.lost == silence
+    assert statistics.rate_hz == pytest.approx(100.0, rel=1e-5)
+    assert np.abs(samples.time_s - there / 100.0).max() < 1e-3
+
+
 def test_a_counter_that_jumps_back_is_no_loss_of_a_round() -> None:
     counter = np.arange(2000)
     counter[1000:] -= 900
