@@ -80,8 +80,8 @@ class _LazyInit:
         if lacks or rest or next(left, MISSING) is not MISSING:
             # Python says what is wrong.
             _compile_init(self.cls, self.frozen)(instance, *given, **named)
-        elif hasattr(instance, "__post_init__"):
-            instance.__post_init__()
+        elif (finish := getattr(instance, "__post_init__", None)) is not None:
+            finish()
 
 
 def _compile_init(cls: type[DataclassInstance], frozen: bool) -> FunctionType:

@@ -178,26 +178,26 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     force = hold.scale.specific_force(hold.cells.mean[:, :3])
     mean = force.mean(axis=0)
     norm = float(np.linalg.norm(mean))
-    change, sigma = change_over(force @ mean / norm)
+    (change, *changes), (sigma, *sigmas) = change_over(np.column_stack([force @ mean / norm, force])).tolist()
     limit = max(_DRIFT_M_S2, _REFUSED_SIGMAS * sigma)
     if abs(change) > limit:
         axis = AXES[int(np.argmax(np.abs(mean)))]
         drift, allowed = 1e3 * abs(change), 1e3 * limit
         return refusals.DRIFTS.refusal(abs(change), limit, axis=axis, drift_mm_s2=drift, limit_mm_s2=allowed)
-    changes = np.array([change_over(column) for column in force.T])
-    sideways = changes[:, 0] - mean * (mean @ changes[:, 0]) / norm**2
+    sideways = changes - mean * (mean @ changes) / norm**2
     turn = math.degrees(float(np.linalg.norm(sideways)) / norm)
-    limit = max(_TILT_DEG, _REFUSED_SIGMAS * math.degrees(float(changes[:, 1].max()) / norm))
+    limit = max(_TILT_DEG, _REFUSED_SIGMAS * math.degrees(max(sigmas) / norm))
     return refusals.TILTS.beyond(turn, limit, axis=AXES[int(np.argmax(np.abs(sideways)))])
 
 
-def change_over(series: FloatArray) -> tuple[float, float]:
-    """Return the change of a straight line through a series (m,) from end to end, and its 1 sigma."""
-    m = len(series)
+def change_over(series: FloatArray) -> FloatArray:
+    """Return the changes of straight lines through k series (m, k) from end to end, and their 1 sigma, shape (2, k)."""
+    m, k = series.shape
     if m < 4:
-        return 0.0, math.inf
+        return np.array([[0.0] * k, [math.inf] * k])
     time = np.linspace(-0.5, 0.5, m)
-    slope = float(time @ series / (time @ time))
-    residual = series - series.mean() - slope * time
-    variance = float(residual @ residual) / (m - 2) * correlation_factor(residual)
-    return slope, math.sqrt(variance / float(time @ time))
+    square = float(time @ time)
+    slope = time @ series / square
+    residual = series - series.mean(axis=0) - np.outer(time, slope)
+    factor = np.array([correlation_factor(column) for column in residual.T])
+    return np.array([slope, np.sqrt((residual**2).sum(axis=0) / (m - 2) * factor / square)])

@@ -14,10 +14,10 @@ def test_change_over_a_line_is_the_change_and_its_sigma_is_honest() -> None:
     rng = np.random.default_rng(0)
     pulls = []
     for _ in range(300):
-        change, sigma = change_over(np.linspace(0, 3.0, 100) + rng.normal(0, 0.5, 100))
-        pulls.append((change - 3.0) / sigma)
-    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.15)
-    assert change_over(np.ones(3)) == (0.0, np.inf)
+        change, sigma = change_over(np.linspace(0, [3.0, -1.0], 100) + rng.normal(0, 0.5, (100, 2)))
+        pulls.append((change - [3.0, -1.0]) / sigma)
+    assert np.sqrt(np.mean(np.square(pulls), axis=0)) == pytest.approx([1.0, 1.0], abs=0.15)
+    assert change_over(np.ones((3, 1))).tolist() == [[0.0], [np.inf]]
 
 
 def test_largest_step_finds_where_and_how_far() -> None:
