@@ -219,6 +219,11 @@ def every(flags: NDArray[np.bool_]) -> bool:
     return 0 not in flags.tobytes()
 
 
+def sound_rows(values: FloatArray, is_sound: NDArray[np.bool_]) -> FloatArray:
+    """Return the rows with sound values only, contiguous, shape (n, k) to (m, k): fast where all are."""
+    return np.ascontiguousarray(values) if is_sound.all() else values[is_sound.all(axis=1)]
+
+
 def is_possible_degc(temperature_degc: FloatArray) -> NDArray[np.bool_]:
     """Return which temperatures an instrument can have, of the shape given; one that is not known (NaN) counts as possible."""
     low, high = TEMPERATURE_RANGE_DEGC

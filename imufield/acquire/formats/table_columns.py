@@ -24,7 +24,15 @@ from imufield.acquire.formats.table_names import (
 from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
+from imufield.samples import (
+    ACCELEROMETER_COLUMNS,
+    GYROSCOPE_COLUMNS,
+    LARGEST_OUTPUT,
+    SAMPLE_COLUMNS,
+    FloatArray,
+    median,
+    sound_rows,
+)
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
@@ -390,9 +398,9 @@ def choose_unit(
         If the user names a unit that is none, or a header and the user none.
     """
     setting = given.get(f"{quantity}_unit")
-    is_whole = ~np.isnan(values).any(axis=1)
+    whole = sound_rows(values, ~np.isnan(values))
     # A triad without values has any unit.
-    if setting is None and not is_whole.any():
+    if setting is None and not len(whole):
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
     written = stated.get(quantity) if setting is None else str(setting)
     if written is not None:
@@ -405,8 +413,8 @@ def choose_unit(
             return name, 1.0, ""
         return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=name, unit=unit)
     # Neither one damaged number nor a gap decides for all the others.
-    possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
-    guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)
+    possible = sound_rows(whole, np.abs(whole) <= LARGEST_OUTPUT)
+    guess, key, found = _guess(quantity, possible if len(possible) else whole, stated, has_zero=has_zero)
     return guess, 1.0, sentence(key, quantity=quantity, unit=guess, found=found, found_deg=np.degrees(found))
 
 
@@ -418,7 +426,7 @@ def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
     RecordingError
         With the bits, and what to subtract.
     """
-    known = values[np.isfinite(values).all(axis=1)]
+    known = sound_rows(values, np.isfinite(values))
     if not (len(known) and (known >= 0).all() and np.array_equal(known, np.rint(known)) and known.max() >= _LEAST_CODE):
         return
     bits = int(known.max()).bit_length()

@@ -38,7 +38,17 @@ from imufield.acquire.protocol.units import SECONDS, TO_SI, unit_name
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, TRIADS, FloatArray, IntArray, Samples, median
+from imufield.samples import (
+    ACCELEROMETER_COLUMNS,
+    GYROSCOPE_COLUMNS,
+    NO_COUNTER,
+    TRIADS,
+    FloatArray,
+    IntArray,
+    Samples,
+    median,
+    sound_rows,
+)
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -358,7 +368,7 @@ def _refuse_unsigned(files: Sequence[File], table: ImportedTable) -> None:
 
 def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:
     """Return why no positions will be found in these outputs, shape (n, 3)."""
-    known = accelerometer[np.isfinite(accelerometer).all(axis=1)]
+    known = sound_rows(accelerometer, np.isfinite(accelerometer))
     if not len(known):
         return [sentence("tables.no_accelerometer")]
     limit = _LEAST_GRAVITY * {"m/s^2": STANDARD_GRAVITY_M_S2, "g": 1.0, "count": 1.0}.get(unit, 0.0)
