@@ -79,9 +79,10 @@ def _signs(places: NDArray[np.uint8], number: re.Match[bytes], name: str) -> Flo
     if not number[name]:
         return 1.0
     found = places[number.start(name)]
-    if not np.isin(found, [*(b"+-" if name == "power_sign" else b" +-")]).all():
+    minus, *others = (found == character for character in (b"-+" if name == "power_sign" else b"-+ "))
+    if not np.logical_or.reduce([minus, *others]).all():
         raise ValueError("no sign")
-    return np.where(found == ord("-"), -1.0, 1.0)
+    return np.where(minus, -1.0, 1.0)
 
 
 def _refuse_unlike(places: NDArray[np.uint8], numbers: Sequence[re.Match[bytes]]) -> None:
