@@ -55,6 +55,7 @@ _MOST_STANDING = 0.25  # Share of samples that repeat the count before and are n
 _DISPROVED_S = 0.25  # A count that is further ahead of the stamps before it than this: the instrument was restarted.
 _PERIOD_ERROR = 0.25  # Share of a gap to which the period is known: learned from bursts, or changed meanwhile.
 _LATER = 0.02  # s/s by which the phase may rise: the period is not known exactly.
+_FIRST_PART = 64  # Of a round: shorter rounds, whose losses are told to a few samples all the same, have no first counts.
 _OUT_OF_ORDER = 4  # Most counts by which an overtaken frame is behind.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
@@ -72,6 +73,7 @@ class _Phase:
     burst: int = 0  # How many samples usually come at once.
     is_blind: bool = False  # The stamps stand still: there is nothing but the number of the sample.
     base_s: float = 0.0  # Phase at the last sample given out.
+    last_lag_s: float = 0.0  # By how much its own stamp lay behind its number.
     earliest_s: float = 0.0  # The earliest phase, less ``_LATER`` times its stamp.
     # Phases of the last samples given out: one more than a burst has.
     before_s: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -238,7 +240,7 @@ class CanClock(Clock):
         phase = _Phase(period_s=period_s, window_s=window_s)
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s, len(block))
-        phase.base_s = float(envelope_s[0])
+        phase.base_s, phase.last_lag_s = float(envelope_s[0]), float(lag_s[0])
         phase.earliest_s = phase.base_s - self._late_s - _LATER * float(block.stamp_s[0])
         phase.delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
         self._set_unit(phase)
@@ -267,15 +269,16 @@ class CanClock(Clock):
     def _are_anew(self, forward: FloatArray, block: RawBlock, phase: _Phase) -> NDArray[np.bool_]:
         """Return which steps are restarts: frames come late, never early, so a count far ahead of its stamp did not go on.
 
-        Nor did the count that a counter begins with, where its stamp is far behind.
+        Nor did one of the first counts of a long round whose stamp, and those behind it, are as far behind: a late hand-over
+        catches up.
         """
         anew, stamp_s, T = np.zeros(len(forward), dtype=np.bool_), block.stamp_s, phase.period_s
         if phase.is_blind or self._last_counter is None:
             return anew
         # Not where a frame has overtaken another, nor where the clock of the stamps was set.
         long = (forward * T > _DISPROVED_S) & (self._modulus - forward * self._counter_step > _OUT_OF_ORDER)
-        is_first = (block.counter - self._first) % self._modulus <= _OUT_OF_ORDER * self._counter_step
-        is_first &= (forward > 1) & self._is_count(block.counter)
+        is_first = (block.counter - self._first) % self._modulus <= self._modulus / _FIRST_PART
+        is_first &= (forward > 1) & self._is_count(block.counter) & (self._modulus >= _FIRST_PART * self._counter_step)
         places = np.flatnonzero((long | is_first) & ((block.status & np.uint32(Status.CLOCK_SET)) == 0)).tolist()
         if not places:
             return anew
@@ -287,9 +290,11 @@ class CanClock(Clock):
             earliest_s = min(earliest_s, float(early_s[done:place].min(initial=math.inf)) + shift_s)
             done, leap_s = place, float(forward[place]) * T
             lag_s = float(stamp_s[place] - before[place] * T) - leap_s + shift_s
-            last_s = float(stamp_s[place - 1] - before[place] * T) + shift_s if place else phase.base_s
-            is_ahead = earliest_s + _LATER * stamp_s[place] - lag_s > tolerance_s + _PERIOD_ERROR * leap_s
-            if is_ahead or (is_first[place] and lag_s - last_s > tolerance_s):
+            last_s = float(stamp_s[place - 1] - before[place] * T) + shift_s if place else phase.last_lag_s
+            is_ahead = long[place] and earliest_s + _LATER * stamp_s[place] - lag_s > tolerance_s + _PERIOD_ERROR * leap_s
+            behind = stamp_s[place:] <= stamp_s[place] + phase.window_s
+            later_s = (stamp_s[place:] - (before[place:] + steps[place:]) * T)[behind].min() + float(steps[place]) * T - leap_s
+            if is_ahead or (is_first[place] and later_s + shift_s - last_s > tolerance_s):
                 anew[place] = True
                 shift_s += float(steps[place] - 1) * T
         return anew
@@ -329,7 +334,7 @@ class CanClock(Clock):
             # Not modulo: the counter may turn out to go on beyond the end that it has so far.
             self._last_counter = int(counts[ready - 1])
         phase.earliest_s = min(phase.earliest_s, float((lag_s[:ready] - _LATER * block.stamp_s[:ready]).min()))
-        phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
+        phase.base_s, phase.number, phase.last_lag_s = float(envelope_s[-1]), float(number[ready - 1]), float(lag_s[ready - 1])
         stands = is_steady and most_s < phase.visible_s
         if stands and every(steps >= 1) and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
             # No loss by time, and time runs forward, from the end of a period learned before as well.

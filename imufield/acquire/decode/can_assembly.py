@@ -48,6 +48,7 @@ _LOOSE_LIMIT_S = 0.2
 _DOUBLED_PART = 0.25  # Two equal frames in a row are the same one if the second comes within this part of the period.
 _CLEAR = 2.0  # Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none.
 _FEWEST = 4  # Frames of each kind before pauses are believed.
+_LONGEST_READ_S = 0.5  # Between two reads of an adapter; a longer silence tells no period.
 _USUAL_PART = 0.7  # A kind that may begin samples comes at least this often, compared with the most frequent one.
 
 
@@ -94,17 +95,20 @@ class _Past:
     count: int | IntArray = -1
     time_s: float | FloatArray = 0.0
     samples: int | IntArray = 0
+    elapsed_s: float | FloatArray = 0.0  # Silences, and clocks that were set, left out.
     low: int | IntArray = np.iinfo(np.int64).max
     high: int | IntArray = -1
 
     def followed(self, count: IntArray, time_s: FloatArray, is_same: NDArray[np.bool_]) -> _Past:
         """Return what it shows with each of the next; a count that is the same once more may be a copy."""
+        step_s = np.diff(time_s, prepend=self.time_s if self.samples else time_s[:1])
         return _Past(
             count,
             time_s,
             self.samples + np.cumsum(~is_same),
-            np.minimum(np.minimum.accumulate(count), self.low),
-            np.maximum(np.maximum.accumulate(count), self.high),
+            self.elapsed_s + np.cumsum(np.clip(step_s, 0.0, _LONGEST_READ_S)),
+            low=np.minimum(np.minimum.accumulate(count), self.low),
+            high=np.maximum(np.maximum.accumulate(count), self.high),
         )
 
     def at(self, place: int) -> _Past:
@@ -130,7 +134,6 @@ class Assembler:
         self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1
         self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
-        self._first_s: float | None = None  # By counter: when the first sample began.
         # By counter: samples given out of those that begin with the first frames of the next block, which of these frames are
         # used, and what began before them.
         self._done = 0
@@ -254,8 +257,8 @@ class Assembler:
         # More samples than counts from the lowest to the highest: the counter wrapped. Half a round away is another such count.
         span, stated = past.high - past.low + 1, self._rule.group_modulus
         half_round = np.where(past.samples > span, np.minimum(span, stated), stated) / 2
-        self._first_s = float(begin_s[0]) if self._first_s is None and len(begin_s) else self._first_s
-        period_s = (begin_s - (self._first_s or 0.0)) / np.maximum(past.samples - 1, 1)
+        # Of all so far: the first frames may have been read, and stamped, at once.
+        period_s = past.elapsed_s / np.maximum(past.samples - 1, 1)
         limit_s = np.minimum(self._limit_s, np.where(period_s > 0, half_round * period_s, np.inf))
         # A whole round of the counter may have been lost.
         is_new = ~(is_same & (np.diff(begin_s, prepend=self._past.time_s) <= limit_s))

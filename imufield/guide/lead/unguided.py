@@ -35,8 +35,8 @@ _SHORTEST_IN_HAND_S = 3.0
 _LONGEST_IN_HAND_S = 45.0  # Nobody holds still for longer: a person walks with the unit, or a car drives.
 _HISTORY_S = 120.0  # Samples kept: longer than such a hold, and what is still before and behind it.
 _TURNED_DEG = 20.0  # Of the force between two holds in the hand; a car that brakes tilts it by as much.
-_NOTED_IN_HAND_S = 2.0  # One in the hand that is shorter than it must be, and longer than a pause in a motion.
-_HABIT = 4  # Of these in a session: a person holds too shortly, and does not pause by chance.
+_NOTED_IN_HAND_S = 2.5  # One in the hand that is shorter than it must be, and longer than a pause in a motion.
+_HABIT = 6  # Of these in a session, and half as many as sound ones: a person holds too shortly, and does not just look.
 _LONG_IN_HAND_S = 5.0  # One in the hand that is as still as on a table is measured as such where it is shorter.
 _HAND_SHOWS_S = 2.5  # Whether a unit is in the hand or on a table shows so long after it came to rest.
 
@@ -124,7 +124,7 @@ class StillIntervalFinder:
                 found.append(replace(self._outputs.with_resolution(observation), name=name))
         refused += self._elsewhere(self._shaken.found, scale)
         short = self._elsewhere(self._short, scale)
-        refused += short if len(short) >= _HABIT else []
+        refused += short if len(short) >= max(_HABIT, len(found) / 2) else []
         return StillIntervals(
             observations=gather(found, self.units),
             refused=tuple(sorted(refused, key=lambda still: still[0])),

@@ -350,6 +350,20 @@ def test_a_counter_that_begins_anew_behind_a_silence_loses_what_the_stamps_show(
     assert np.abs(samples.time_s - there / 100.0).max() < 1e-3
 
 
+@pytest.mark.parametrize("modulus", [16, 256])
+@pytest.mark.parametrize("paused_s", [0.5, 1.5])
+@pytest.mark.parametrize("block", [1, 50, 4000])
+def test_a_host_that_hands_over_late_restarts_no_counter(modulus: int, paused_s: float, block: int) -> None:
+    """Three samples are lost just before the counter begins its round again, while the host pauses."""
+    begin = 1536
+    kept = np.delete(np.arange(4000), [begin, begin + 1, begin + 2])
+    drained_s = begin / 100 + paused_s + 5e-4 * np.arange(-begin, len(kept) - begin)
+    late = (np.arange(len(kept)) >= begin) & (kept / 100.0 < drained_s)
+    stamp_s = np.where(late, drained_s, kept / 100.0) + jitter(len(kept), 1e-4)
+    _, statistics = run(np.maximum.accumulate(stamp_s), counter=kept % modulus, modulus=modulus, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
+
+
 def test_a_counter_that_jumps_back_is_no_loss_of_a_round() -> None:
     counter = np.arange(2000)
     counter[1000:] -= 900
