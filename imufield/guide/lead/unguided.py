@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect
 
 import numpy as np
@@ -21,7 +22,7 @@ from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import FROZEN, TOO_SHORT_IN_HAND, Refusal
 from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
-from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2
+from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, is_quiet, measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
 from imufield.samples import CELL_S, Samples, SampleUnits, median
@@ -153,8 +154,20 @@ class StillIntervalFinder:
             return CalibrationError(axes.words, Reason.UNITS)
         if self.detector.has_waited and self.detector.scale.is_zero(self.detector.waited().mean[:, :3].mean(axis=0)):
             return CalibrationError(sentence("unguided.zero"), Reason.TOO_FEW)
+        if self.detector.has_waited and (sigma_rad_s := self._least_scatter_rad_s()):
+            limit_deg_s, found_deg_s = math.degrees(MAX_FLOOR_RAD_S), math.degrees(sigma_rad_s)
+            told = {"floor_s": FLOOR_S, "found_deg_s": found_deg_s, "limit_deg_s": limit_deg_s}
+            return CalibrationError(sentence("unguided.gyroscope_scatters", **told), Reason.UNITS)
         never = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
         return CalibrationError(never, Reason.TOO_FEW)
+
+    def _least_scatter_rad_s(self) -> float:
+        """Return the gyroscope's scatter in the calmest window that is a rest but for it, by the given scale; 0 without one."""
+        scale, cells, window = self.detector.scale, self.detector.waited(LONGEST_WAIT_S), cells_in(FLOOR_S)
+        windows = (cells[end - window : end] for end in range(window, len(cells) + 1, window // 3))
+        rests = [measure_floor(each) for each in windows if is_quiet(each, replace(scale, gyroscope=None))]
+        found = [float(rest.sigma[3:].max()) / scale.gyroscope for rest in rests if scale.gyroscope and rest.has_gyroscope]
+        return min(found, default=0.0)
 
     def _process(self, cells: Cells | None) -> None:
         if cells is None:

@@ -287,6 +287,15 @@ def test_holds_in_the_hand_before_the_first_rest_count_at_any_rate(in_hand: tupl
     assert np.abs(np.linalg.norm(found.mean_raw, axis=1) - gravity_m_s2).max() < 0.01
 
 
+def test_a_rest_but_for_the_gyroscope_is_told_by_its_scatter(in_hand: tuple[Samples, Imu, float]) -> None:
+    """Numbers in deg/s that are said to be rad/s: what is 0.4 deg/s of noise scatters by 23 there."""
+    samples, _, _ = in_hand
+    noise = np.radians(0.4) * np.random.default_rng(2).standard_normal(samples.gyroscope.shape)
+    in_degrees = replace(samples, gyroscope=np.degrees(samples.gyroscope + noise))
+    with refused(CalibrationError, Reason.UNITS, "gyroscope_unit", key="unguided.gyroscope_scatters"):
+        find_still_intervals([in_degrees])
+
+
 @pytest.mark.numerical
 @pytest.mark.parametrize(
     ("hold_s", "style", "short"), [(3.0, "held", 22), (5.0, "held", 22), (5.0, "placed", 0), (8.0, "held", 0)]
