@@ -20,7 +20,7 @@ _MOST_S = 60.0  # Nobody holds for longer: the unit is carried, or a vehicle dri
 _KEPT_DEG = 3.0  # Between the directions of blocks: a slow turn by hand makes 10 in the same time.
 
 
-class ShakenHold(NamedTuple):
+class RefusedHold(NamedTuple):
     """A stretch that would be a hold if it did not shake, or lasted longer."""
 
     start_s: float
@@ -33,7 +33,7 @@ class ShakenHolds:
     """Finds them among the cells that are not still; keeps no more than one of them."""
 
     def __init__(self) -> None:
-        self.found: list[ShakenHold] = []
+        self.found: list[RefusedHold] = []
         self._run: list[Cells] = []  # Blocks of one direction.
         self._block = CellRun()
         self._slot = 0  # Of the cell before.
@@ -66,7 +66,7 @@ class ShakenHolds:
         mean_raw = np.mean([block.mean[:, :3].mean(axis=0) for block in run], axis=0)
         vibration = np.sqrt(variance.mean(axis=0)) / detector.limits.vibration
         typical = largest_activity(vibration, np.zeros(6), detector.limits, detector.scale)
-        self.found.append(ShakenHold(float(run[0].start_s[0]), mean_raw, typical.refusal(NOT_STILL)))
+        self.found.append(RefusedHold(float(run[0].start_s[0]), mean_raw, typical.refusal(NOT_STILL)))
 
     def _is_as_before(self, block: Cells, detector: StillnessDetector, rest_raw: FloatArray) -> bool:
         """Whether the unit keeps the direction that it had, and does not turn about the vertical."""

@@ -16,7 +16,7 @@ from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
 from imufield.guide.hold.in_hand import HAND_GUARD_S, SampleHistory, measure_in_hand, trim_in_hand
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
-from imufield.guide.hold.shaken import ShakenHold, ShakenHolds
+from imufield.guide.hold.shaken import RefusedHold, ShakenHolds
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
 from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import FROZEN, TOO_SHORT_IN_HAND, Refusal
@@ -78,7 +78,7 @@ class StillIntervalFinder:
         self._lain: Stretch | None = None  # The latest one that was as still as on a table.
         self._put_down = True  # Whether the unit was put down since the last of the placements.
         self._shaken = ShakenHolds()
-        self._short: list[ShakenHold] = []  # In the hand.
+        self._short: list[RefusedHold] = []  # In the hand.
         self._rest_raw = np.full(3, np.nan)  # Of the gyroscope, in the hold before.
         self._outputs = Outputs()
         self._moves = MoveLog()
@@ -134,7 +134,7 @@ class StillIntervalFinder:
             sticking=self._outputs.sticking(),
         )
 
-    def _elsewhere(self, holds: list[ShakenHold], scale: RoughScale) -> list[tuple[float, Refusal]]:
+    def _elsewhere(self, holds: list[RefusedHold], scale: RoughScale) -> list[tuple[float, Refusal]]:
         """Return these holds except where the unit lay still just before or afterwards: it was put down there."""
         refused = list[tuple[float, Refusal]]()
         times_s = [observation.start_s for observation, _ in self._placements]
@@ -208,16 +208,12 @@ class StillIntervalFinder:
 
     def _note_short(self, stretch: Stretch) -> None:
         """Note a hold in the hand that is too short; where samples are missing, one that goes on is the same."""
-        duration_s, limit_s, mean_raw = (
-            stretch.judged * CELL_S,
-            _SHORTEST_IN_HAND_S + 2 * HAND_GUARD_S,
-            np.array(stretch.mean[:3]),
-        )
-        up = self.detector.scale.up
+        duration_s, limit_s = stretch.judged * CELL_S, _SHORTEST_IN_HAND_S + 2 * HAND_GUARD_S
+        mean_raw, up = np.array(stretch.mean[:3]), self.detector.scale.up
         goes_on = bool(self._short) and angle_deg(up(mean_raw), up(self._short[-1].mean_raw)) < _TURNED_DEG
         if _NOTED_IN_HAND_S <= duration_s < limit_s and not goes_on:
             refusal = TOO_SHORT_IN_HAND.refusal(duration_s, limit_s)
-            self._short.append(ShakenHold(float(stretch.cells().start_s[0]), mean_raw, refusal))
+            self._short.append(RefusedHold(float(stretch.cells().start_s[0]), mean_raw, refusal))
 
     def _hold(self, stretch: Stretch, *, in_hand: bool) -> HoldUnderTest | None:
         """Return the hold of a stretch, guard bands off; None where it is too short."""
