@@ -156,6 +156,30 @@ def test_values_out_of_range_are_refused(option: str, value: str, capsys: pytest
     assert option in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("comes", ["before", "later"])
+def test_what_others_want_at_the_end_is_done(comes: str) -> None:
+    code = f"""
+import atexit, sys
+from imufield.cli import main, run
+
+def register():
+    atexit.register(print, "done")
+
+def registering(arguments, run=run.run):
+    register()
+    return run(arguments)
+
+if {comes == "later"}:
+    run.run = registering
+else:
+    register()
+sys.argv[1:] = ["devices", "--nonsense"]
+main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=900)
+    assert (ended.returncode, ended.stdout) == (2, "done\n"), ended.stderr
+
+
 def test_version() -> None:
     ended = imufield("--version")
     assert (ended.returncode, ended.stdout) == (0, f"imufield {__version__}\n")

@@ -6,6 +6,7 @@ room, so that a prompt comes back at once.
 
 from __future__ import annotations
 
+import atexit
 import codecs
 import gc
 import io
@@ -31,6 +32,10 @@ def main() -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # Imports make objects by tens of thousands, all to stay: at the usual 700 the collector goes through them a hundred times.
     gc.set_threshold(100_000)
+    left = list[int]()
+    # Of the program itself, and where no handler is there yet: those that come later are called before.
+    if getattr(sys.modules["__main__"], "main", None) is main and not atexit._ncallbacks():  # noqa: SLF001
+        atexit.register(_leave_at_once, left)
     _open_closed_streams()
     _let_standard_error_fail()
     # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
@@ -53,9 +58,18 @@ def main() -> None:
         from imufield.errors import EXIT_INTERRUPTED
 
         code = EXIT_INTERRUPTED
-    # Files are closed where they are used: on the way out the collector need not go through all that there is.
-    gc.freeze()
+    left.append(code)
     sys.exit(code)
+
+
+def _leave_at_once(left: list[int]) -> None:
+    """Leave with the code that is known, if any: the interpreter would free one by one what the system frees at once."""
+    # Of an output that cannot be written the interpreter tells on its own way out.
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        if left:
+            os._exit(left[0])
 
 
 def _bytes_or_codes(error: UnicodeError) -> tuple[str | bytes, int]:
