@@ -12,6 +12,7 @@ import numpy as np
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
 from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
+from imufield.calibrate.model.uncertainty import inverse_root
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
@@ -260,7 +261,7 @@ def _whitening(covariance: FloatArray) -> FloatArray:
         If the scatter that explains the residuals has grown past all noise: the moves do not fit the model at all.
     """
     try:
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+        return inverse_root(covariance)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(sentence("fit.contradiction"), Reason.NOT_CONVERGED) from error
 

@@ -37,7 +37,7 @@ from imufield.calibrate.model.aliasing import LEFT_OUT_SHARES
 from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.rotation import skew
-from imufield.calibrate.model.uncertainty import block_diagonal, rms
+from imufield.calibrate.model.uncertainty import block_diagonal, inverse_root, rms
 from imufield.calibrate.solvers.scoring import cut_at_top
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
@@ -231,7 +231,7 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     """
     P = _projection(parts.total(scatter), jacobian)
     V = np.stack([parts.drift, parts.wander, parts.turn])
-    PV, VPr = P @ V, V @ (P @ residual)
+    PV, VPr = np.stack([P @ V[0], P @ V[1], P * np.diag(V[2])]), V @ (P @ residual)  # V3 is diagonal.
     score = VPr @ P @ residual - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
     information = PV.reshape(3, -1) @ np.swapaxes(PV, 1, 2).reshape(3, -1).T  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
@@ -304,8 +304,8 @@ def _uncoupled_rows(V: FloatArray) -> IntArray:
 
 def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:
     """Return P."""
-    inverse = np.linalg.inv(S)
+    root = inverse_root(S)
     # Columns of one length, as in the fit; P is the same.
     jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    weighted = inverse @ jacobian
-    return np.asarray(inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T)
+    weighted = root.T @ (root @ jacobian)
+    return np.asarray(root.T @ root - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T)

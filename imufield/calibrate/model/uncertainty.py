@@ -29,6 +29,7 @@ SPARE_POSITIONS = 4
 
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
+_SMALL = 32  # Rows of a triangle up to which it is inverted as it is.
 
 
 def rms(values: FloatArray) -> float:
@@ -176,6 +177,22 @@ def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     there[:, known] = (vectors / root).T / size[known]
     back[known] = size[known][:, None] * vectors * root
     return there, back
+
+
+def inverse_root(covariance: FloatArray) -> FloatArray:
+    """Return L^-1 of S = L L^T, which whitens; raises ``numpy.linalg.LinAlgError`` where S is not positive definite."""
+    return _triangle_inverse(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+
+
+def _triangle_inverse(L: FloatArray) -> FloatArray:
+    # By halves: NumPy inverts a triangle as it does every matrix, in four times the time.
+    if len(L) <= _SMALL:
+        return np.asarray(np.linalg.inv(L), dtype=np.float64)
+    inverse, half = np.zeros_like(L), len(L) // 2
+    upper = inverse[:half, :half] = _triangle_inverse(L[:half, :half])
+    lower = inverse[half:, half:] = _triangle_inverse(L[half:, half:])
+    inverse[half:, :half] = -lower @ (L[half:, :half] @ upper)
+    return inverse
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.model.uncertainty import inverse_root
 from imufield.calibrate.solvers.scoring import cut_at_top
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
@@ -132,7 +133,7 @@ def shares_of(rows: FloatArray, equations: Equations) -> FloatArray:
 
 def whitened(equations: Equations, variances: FloatArray) -> Whitened:
     """Return equations over the root of V."""
-    root = np.asarray(np.linalg.inv(np.linalg.cholesky(equations.covariance(variances))), np.float64)
+    root = inverse_root(equations.covariance(variances))
     weight = 1 / (equations.sigma * np.sqrt(variances[RAMP]))
     both = np.column_stack([equations.matrix, equations.values])
     both = np.vstack([root @ both[: len(root)], weight[:, None] * both[len(root) :]])

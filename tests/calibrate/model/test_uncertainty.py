@@ -17,6 +17,7 @@ from imufield.calibrate.model.uncertainty import (
     distinguishing_digits,
     estimated_share,
     gravity_sensitivity,
+    inverse_root,
     known_covariance,
     within_variance,
 )
@@ -24,6 +25,19 @@ from imufield.calibrate.model.uncertainty import (
 pytestmark = pytest.mark.numerical
 
 LINEAR = LOWER_GAUGE_COLUMNS[:9]
+
+
+@pytest.mark.parametrize("size", [0, 1, 32, 33, 101, 188])
+def test_the_inverse_root_whitens(size: int) -> None:
+    noise = np.random.default_rng(size).normal(size=(size, 2 * size + 1)) * np.geomspace(1, 1e-8, size)[:, None]
+    root = inverse_root(noise @ noise.T)
+    assert np.array_equal(root, np.tril(root))
+    assert root @ noise @ noise.T @ root.T == pytest.approx(np.eye(size), abs=1e-9)
+
+
+def test_what_has_no_root_is_refused() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        inverse_root(np.diag([1.0, -1.0]))
 
 
 def test_between_position_sigma_by_hand() -> None:
