@@ -72,9 +72,14 @@ def _components(shape: tuple[int, ...], axes: int) -> FloatArray:
     return np.empty((*shape[-axes:], *shape[:-axes])).transpose(order)
 
 
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors, shape (..., n) to (...)."""
+    return np.asarray(np.sqrt(sum(vectors[..., k] ** 2 for k in range(vectors.shape[-1]))))
+
+
 def exponential(rotation_rad: FloatArray) -> FloatArray:
     """Return quaternions of rotation vectors, shape (..., 3) -> (..., 4)."""
-    angle = np.linalg.norm(rotation_rad, axis=-1, keepdims=True)
+    angle = _lengths(rotation_rad)[..., None]
     result = _components((*rotation_rad.shape[:-1], 4), 1)
     # np.sinc(x) is sin(pi x) / (pi x) and exact at zero.
     result[..., :1], result[..., 1:] = np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * rotation_rad
@@ -156,7 +161,7 @@ def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
 def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     """Return Jr of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
     p = [rotation_rad[..., k] for k in range(3)]
-    angle = np.linalg.norm(rotation_rad, axis=-1)
+    angle = _lengths(rotation_rad)
     small = angle < _SMALL_RAD
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
@@ -196,7 +201,7 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     """
     length = np.diff(np.append(first, len(quaternion)))
     running = _running(quaternion.copy(), length)
-    running /= np.linalg.norm(running, axis=-1, keepdims=True)
+    running /= _lengths(running)[..., None]
     return running
 
 
@@ -255,9 +260,11 @@ def misfits_rad(
     """
     turned = exponential(turns_raw / scales[:, None, None, None])
     # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
-    chains = np.stack([total_turn(turned), total_turn(conjugate(turned))], axis=1)
-    mirrored = np.linalg.det(permutations) < 0
-    back = conjugate(chains)[:, mirrored.astype(int)]
-    up = np.einsum("pij,spmj->spmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
-    sine = np.linalg.norm(cross(up, after), axis=-1)
-    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=-1)) ** 2, axis=-1)))
+    mirrored, misfits = np.linalg.det(permutations) < 0, np.empty((len(scales), len(permutations)))
+    for hand in {*mirrored.tolist()}:
+        alike = mirrored == hand
+        back = matrix(conjugate(total_turn(conjugate(turned) if hand else turned)))
+        start, end = (np.einsum("pji,mj->mip", permutations[alike], each) for each in (before, after))
+        chord = np.linalg.norm(back @ start - end, axis=-2)
+        misfits[:, alike] = np.sqrt(np.mean((2 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2, axis=1))
+    return misfits
