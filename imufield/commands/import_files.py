@@ -19,14 +19,15 @@ from imufield.acquire.formats.can_log_heads import begins_as_can_log
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
-from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
+from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, row_chunks
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, SystemClock
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.part_file import is_part
-from imufield.acquire.recording.recorder import Recorder, part_metadata, protocol_tables
+from imufield.acquire.recording.recorder import Recorder, packed, part_metadata, protocol_tables
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.registry import load_driver
+from imufield.beside import Beside
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.options.configuration import parse_zero
 from imufield.commands.terminal.output import echo, say_each
@@ -134,23 +135,23 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         # Of a log of a CAN bus nobody said what is on it: its frames alone mean nothing.
         if begins_as_can_log(path):
             raise UsageError(sentence("import_files.unknown_can_log", path=str(path)))
-    table = with_units_of_stills(
-        read_tables(
-            options.files,
-            columns=options.columns,
-            rate_hz=options.rate_hz,
-            zero=parse_zero(options.zero),
-            settings=options.settings,
-            topic=options.topic,
-        )
+    read = read_tables(
+        options.files,
+        columns=options.columns,
+        rate_hz=options.rate_hz,
+        zero=parse_zero(options.zero),
+        settings=options.settings,
+        topic=options.topic,
     )
+    blocks = Beside(lambda: packed(row_chunks(read.rows, read.status, read.counter)))
+    table = with_units_of_stills(read)
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
     label = sentence("import_files.table_label", setting=TIME_UNIT)
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label=label)
     began = _began(table.begin_s)
     with _whole_or_nothing(_new_session(options, protocol, table, began), protocol) as (session, recorder):
-        write_rows(recorder, table.rows, table.status, table.counter)
+        recorder.write_packed(blocks.result())
     return session, [_said_of_table(table), *table.assumptions, *_said_of(began)]
 
 

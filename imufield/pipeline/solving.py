@@ -5,18 +5,17 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.acquire.decoding_process import LONG_BYTES
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.acquire.recording.reader import Damage, size_bytes
+from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
+from imufield.beside import Beside
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.calibrate.gyroscope.whole_turns import stops_at
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
@@ -185,31 +184,18 @@ def read_recording(
     goes_on = session.is_being_recorded
     collected = ReadingCollector()
     chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
-    with _hashed_beside(session) as hashed:
-        if not (goes_on or listeners) and is_kept(session):
-            found = kept(session, hashed())
-            if found is not None:
-                yield found
-                return
-        replay_into(chain, session, damage, collected.hear)
-        sha256 = hashed()
+    sha256 = Beside(session.sha256)
+    if not (goes_on or listeners) and is_kept(session):
+        found = kept(session, sha256.result())
+        if found is not None:
+            yield found
+            return
+    replay_into(chain, session, damage, collected.hear)
     with naming_damage(session, damage), task("solving"):
-        reading = reading_of(session, chain, collected, damage, sha256=sha256)
+        reading = reading_of(session, chain, collected, damage, sha256=sha256.result())
     yield reading
     if keeps and not (goes_on or damage):
         keep(session, reading)
-
-
-@contextmanager
-def _hashed_beside(session: Session) -> Iterator[Callable[[], str]]:
-    """Hash a long recording in a thread, which leaves the interpreter to others: beside the replay it costs little time."""
-    if size_bytes(session.parts) < LONG_BYTES:
-        yield cache(session.sha256)
-        return
-    from concurrent.futures import ThreadPoolExecutor  # To import it takes as long as to hash a short one.
-
-    with ThreadPoolExecutor(1) as threads:
-        yield threads.submit(session.sha256).result
 
 
 def reading_of(

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.formats.tables import ROWS_PROTOCOL, stream_table, write_rows
-from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.formats.tables import ROWS_PROTOCOL, row_chunks, stream_table
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.still_units import with_units_of_stills
@@ -28,19 +27,10 @@ def table_samples(path: Path, rate_hz: float | None, assumptions: list[str]) -> 
             first = with_units_of_stills(table)
             assumptions += first.assumptions
             decoder = Decoder(load_protocol(ROWS_PROTOCOL, first.settings))
-        chunks = _Chunks()
-        write_rows(chunks, table.rows, table.status, table.counter)
-        for chunk in chunks:
+        for chunk in row_chunks(table.rows, table.status, table.counter):
             yield decoder.feed(chunk.data, chunk.monotonic_s)
     if decoder is not None:
         yield decoder.flush()
-
-
-class _Chunks(list[Chunk]):
-    """What rows are written to where no recording is wanted."""
-
-    def write_chunk(self, chunk: Chunk, /) -> None:
-        self.append(chunk)
 
 
 def refuse_endless(paths: Sequence[Path]) -> None:

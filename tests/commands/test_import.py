@@ -18,6 +18,7 @@ from scipy.io import savemat
 
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
@@ -216,7 +217,7 @@ def test_an_import_that_ends_early_leaves_no_folder(
 
     path = tmp_path / "rows.csv"
     path.write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(50)))
-    monkeypatch.setattr(import_files, "write_rows", fail)
+    monkeypatch.setattr(Recorder, "write_packed", fail)
     with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
         import_files.import_session(ImportOptions(files=[path], output=tmp_path / "new"))
     assert not (tmp_path / "new").exists()

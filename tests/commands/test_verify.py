@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import tomli_w
 
-from imufield.acquire.formats.tables import write_rows
+from imufield.acquire.formats.tables import row_chunks
 from imufield.acquire.protocol.protocol import load_protocol
-from imufield.acquire.recording.recorder import Recorder, part_metadata
+from imufield.acquire.recording.recorder import Recorder, packed, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
@@ -77,7 +77,7 @@ def rest_session(
     }
     session = Session.create_in(folder, "bench", content | metadata)
     with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        write_rows(recorder, rows)
+        recorder.write_packed(packed(row_chunks(rows)))
     return session
 
 

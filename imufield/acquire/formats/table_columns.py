@@ -430,11 +430,11 @@ def refuse_unsigned(path: str, quantity: str, values: FloatArray) -> None:
     if not (len(known) and (known >= 0).all() and np.array_equal(known, np.rint(known)) and known.max() >= _LEAST_CODE):
         return
     bits = int(known.max()).bit_length()
-    share = known / (1 << bits)
+    share = known.T.copy() / (1 << bits)  # Axis by axis, each of them counted in one pass.
     # An axis at rest is at one end, and goes to the other through the middle; single outputs may be damaged.
-    low, high = (np.count_nonzero(end, axis=0) for end in (share < _END, share > 1 - _END))
-    at_both = np.minimum(low, high) > _LEAST_AT_ENDS * len(share)
-    leaps = np.count_nonzero(np.abs(np.diff(share[:, at_both], axis=0)) > 1 - 2 * _END, axis=0)
+    low, high = (np.count_nonzero(end, axis=1) for end in (share < _END, share > 1 - _END))
+    at_both = np.minimum(low, high) > _LEAST_AT_ENDS * len(known)
+    leaps = np.count_nonzero(np.abs(np.diff(share[at_both], axis=1)) > 1 - 2 * _END, axis=1)
     if (leaps >= _LEAST_LEAPS).any() and np.mean(np.abs(share - 0.5) < _END) < _MOST_DAMAGED:
         sizes = {"bits": bits, "half": 1 << bits - 1, "codes": 1 << bits}
         raise RecordingError(sentence("table_columns.unsigned", path=path, quantity=quantity, **sizes), Reason.BAD_DATA)

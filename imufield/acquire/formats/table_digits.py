@@ -72,7 +72,8 @@ def _whole(places: NDArray[np.uint8], digits: Sequence[int]) -> FloatArray:
     found = places[digits] - ord("0")
     if (found > 9).any():
         raise ValueError("no digit")
-    return _POWERS[: len(digits)][::-1] @ found
+    # Not as a product of matrices, which would make an array of floats of every digit.
+    return np.asarray(np.einsum("i,ij->j", _POWERS[: len(digits)][::-1], found))
 
 
 def _signs(places: NDArray[np.uint8], number: re.Match[bytes], name: str) -> FloatArray | float:

@@ -30,8 +30,8 @@ from imufield.sentences import Sentences, printable, shortened
 
 sentence = Sentences(__package__)
 
-BLOCK_BYTES = 8 << 20
-"""Text parsed at a time: bounds the memory beside the numbers themselves."""
+BLOCK_BYTES = 1 << 20
+"""Text parsed at a time: bounds the memory beside the numbers themselves, and is in the processor's cache still."""
 HEAD_BYTES = 64 << 10
 """A header stands within this."""
 LINE_LIMIT_BYTES = 1 << 20

@@ -8,6 +8,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -35,6 +36,7 @@ from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.units import SECONDS, TO_SI, unit_name
+from imufield.beside import Beside
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -191,11 +193,12 @@ def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str |
         parts *= len(paths)
     if len(parts) != len(paths):
         raise UsageError(sentence("tables.other_number", found=len(parts), files=len(paths), columns=columns))
-    files: list[File] = []
-    for number, (path, names) in enumerate(zip(paths, parts, strict=True)):
-        source = open_source(Path(path), topic)
-        meaning = meaning_of(source, names, number, len(paths))
-        files += files_of(source, meaning, source.read(meaning.places))
+    sources = [open_source(Path(path), topic) for path in paths]
+    told = enumerate(zip(sources, parts, strict=True))
+    meanings = [meaning_of(source, names, number, len(paths)) for number, (source, names) in told]
+    reads = [Beside(partial(source.read, meaning.places)) for source, meaning in zip(sources, meanings, strict=True)]
+    values = (read.result() for read in reads)
+    files = [file for found in zip(sources, meanings, values, strict=True) for file in files_of(*found)]
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
@@ -377,17 +380,13 @@ def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:
     return [sentence("tables.no_gravity", found=found, limit=limit, unit=unit)] if found < limit else []
 
 
-def write_rows(
-    recorder: ChunkWriter,
-    rows: FloatArray | Samples,
-    status: NDArray[np.uint32] | None = None,
-    counter: IntArray | None = None,
-) -> None:
-    """Write samples as chunks of whole rows of protocol ``rows_f64``; a chunk "arrives" at the time of its last sample.
+def row_chunks(
+    rows: FloatArray | Samples, status: NDArray[np.uint32] | None = None, counter: IntArray | None = None
+) -> Iterator[Chunk]:
+    """Yield samples as chunks of whole rows of protocol ``rows_f64``; a chunk "arrives" at the time of its last sample.
 
     Parameters
     ----------
-    recorder : Recorder
     rows : ndarray, shape (n, 8), or Samples
     status : ndarray of uint32, shape (n,), optional
         Makes rows for the setting ``status = true``.
@@ -407,7 +406,7 @@ def write_rows(
                 flagged["counter"] = counter[here]
             content = flagged
         last_s = float(part[-1, 0])
-        recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))
+        yield Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS))
 
 
 def rows_of(samples: Samples) -> FloatArray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -116,6 +116,16 @@ class Recorder:
         """
         self._append(link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(self._sequence)))
 
+    def write_packed(self, blocks: Sequence[bytes]) -> None:
+        """Record what ``packed`` made, in front of all else; raises as ``write_chunk``."""
+        with self._lock:
+            try:
+                for block in blocks:
+                    _write_all(self._file, block)
+            except OSError as error:
+                self._failure = _cannot_write(self.path, error, self._remedy)
+                self._tell()
+
     def write_event(self, event: Mapping[str, object]) -> None:
         """Record a guide event, an operator's mark or a fault of the link, stamped now.
 
@@ -210,6 +220,13 @@ class Recorder:
             self._changed.notify_all()
 
 
+def packed(chunks: Iterable[Chunk]) -> list[bytes]:
+    """Return chunks packed, which takes longer than all else that writing them does, and needs no file."""
+    sequence = count()
+    messages = (link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(sequence)) for chunk in chunks)
+    return [chunk_record(block) for block in _blocks(messages)]
+
+
 def _create(path: Path, content: bytes, remedy: str) -> int:
     """Create a file that does not exist yet, make it durable and return its descriptor."""
     try:
@@ -235,7 +252,7 @@ def _write_all(file: int, data: bytes) -> None:
         rest = rest[os.write(file, rest) :]
 
 
-def _blocks(messages: list[bytes]) -> Iterator[list[bytes]]:
+def _blocks(messages: Iterable[bytes]) -> Iterator[list[bytes]]:
     """Cut a backlog into blocks of about ``BLOCK_BYTES``."""
     block: list[bytes] = []
     size = 0

@@ -7,8 +7,7 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats import table_text
-from imufield.acquire.formats.tables import ImportedTable, read_tables, write_rows
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.formats.tables import ImportedTable, read_tables, row_chunks
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
@@ -317,32 +316,19 @@ def test_missing_files_are_an_error_of_ours(tmp_path: Path) -> None:
             read_tables(paths)
 
 
-class Kept:
-    """A recorder that keeps its chunks."""
-
-    def __init__(self) -> None:
-        self.chunks: list[Chunk] = []
-
-    def write_chunk(self, chunk: Chunk, /) -> None:
-        self.chunks.append(chunk)
-
-
 def test_rows_are_written_whole_and_decode_to_the_same_samples() -> None:
     n = 10_000
     time_s = np.arange(n) * 0.01
     rows = np.column_stack([time_s, RNG.normal(size=(n, 6)), np.full(n, 25.0)])
-    kept = Kept()
-    write_rows(kept, rows)
-    assert all(len(chunk.data) % 64 == 0 for chunk in kept.chunks)
-    assert [chunk.monotonic_s for chunk in kept.chunks] == [time_s[4095], time_s[8191], time_s[-1]]
+    chunks = [*row_chunks(rows)]
+    assert all(len(chunk.data) % 64 == 0 for chunk in chunks)
+    assert [chunk.monotonic_s for chunk in chunks] == [time_s[4095], time_s[8191], time_s[-1]]
     decoder = Decoder(load_protocol("rows_f64", {"accelerometer_unit": "count", "gyroscope_unit": "count"}))
-    blocks = [decoder.feed(chunk.data, chunk.monotonic_s) for chunk in kept.chunks]
+    blocks = [decoder.feed(chunk.data, chunk.monotonic_s) for chunk in chunks]
     for name, columns in (("time_s", 0), ("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7)), ("temperature_degc", 7)):
         assert np.array_equal(np.concatenate([getattr(block, name) for block in blocks]), rows[:, columns])
-    again = Kept()
-    for block in blocks:
-        write_rows(again, block)
-    assert b"".join(chunk.data for chunk in again.chunks) == b"".join(chunk.data for chunk in kept.chunks)
+    again = [chunk for block in blocks for chunk in row_chunks(block)]
+    assert b"".join(chunk.data for chunk in again) == b"".join(chunk.data for chunk in chunks)
 
 
 def test_the_recording_of_an_xsens_is_read_and_joined(shared_folder: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording import recorder as recorder_module
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedEvent, read_part
-from imufield.acquire.recording.recorder import MESSAGE_LIMIT_BYTES, Recorder
+from imufield.acquire.recording.recorder import MESSAGE_LIMIT_BYTES, Recorder, packed
 from imufield.errors import Reason, RecordingError
 from imufield.samples import Status
 from tests.interrupts import ends, interrupted_at
@@ -49,6 +49,16 @@ def test_chunks_and_events_come_back_in_order(tmp_path: Path) -> None:
     assert [one, two] == [numbered(1), numbered(2)]
     assert isinstance(event, RecordedEvent)
     assert event.event == {"event": "accepted", "residual": 0.5}
+    assert damage == []
+
+
+def test_what_was_packed_beforehand_is_read_as_what_was_written(tmp_path: Path) -> None:
+    chunks = [numbered(number, 300_000) for number in range(20)]
+    with Recorder(tmp_path / "packed.mcap", {}) as recorder:
+        recorder.write_packed(packed(chunks))
+        recorder.write_chunk(numbered(20))
+    damage: list[Damage] = []
+    assert [item for item in read_part(tmp_path / "packed.mcap", damage) if isinstance(item, Chunk)] == [*chunks, numbered(20)]
     assert damage == []
 
 
