@@ -22,7 +22,14 @@ import math
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import fit_jointly
-from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
+from imufield.calibrate.gyroscope.input import (
+    GyroscopeInput,
+    handedness_error,
+    make_data,
+    refuse_dead,
+    refuse_foreign,
+    without_impossible,
+)
 from imufield.calibrate.gyroscope.model_choice import FULL, ChosenModel, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, arranged_inverse, rough_inverse
 from imufield.calibrate.gyroscope.observability import Observability, observe, without_contradicted
@@ -88,6 +95,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         If a stop belongs to no move.
     """
     given.require_stills()
+    given = without_impossible(given)
     if not len(given.moves) and not given.turntable:
         return _static(given)
     data = make_data(given)

@@ -17,14 +17,13 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
-    AccelerometerParameters,
     Calibration,
     GyroscopeParameters,
 )
 from imufield.calibrate.model.rotation import exponential, rotate
 from imufield.calibrate.moves.moves import Moves
 from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median
 from imufield.sentences import Sentences
@@ -41,6 +40,7 @@ _CONSTANT = 1e-9
 _NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
+_LARGEST_FORCE_M_S2 = 500.0  # Of 10 ms: a hand makes a tenth of it, and instruments that are moved by hand end below.
 _TURNED = 0.98  # Cosine of 11 deg between the directions of gravity before and after a move.
 
 
@@ -115,23 +115,34 @@ class GyroscopeInput:
             raise CalibrationError(missing, Reason.NOT_FINITE, positions=int((~known).sum()))
 
 
+def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
+    """Return the input without moves in which the accelerometer shows what no hand makes: g-sensitivity would follow it."""
+    moves = given.moves
+    largest = np.maximum.reduceat(np.linalg.norm(_force_of_slots(given), axis=1), moves.first) if len(moves) else np.empty(0)
+    out = largest > _LARGEST_FORCE_M_S2
+    spans = zip(moves.start_s[out], moves.end_s[out], largest[out], strict=True)
+    why = [
+        sentence("input.impossible_force", begin_s=begin_s, end_s=end_s, found_m_s2=found, limit_m_s2=_LARGEST_FORCE_M_S2)
+        for begin_s, end_s, found in spans
+    ]
+    return replace(given, moves=moves.without(out, why)) if why else given
+
+
 def make_data(given: GyroscopeInput) -> GyroscopeData:
     """Return stills and moves with the output at rest taken off."""
     observations, moves = given.observations, given.moves
-    parameters = given.calibration.accelerometer
     rest = given.rest_raw
     # What rounding leaves is no noise that a longer mean makes smaller.
     variance = np.maximum(np.diagonal(observations.gyroscope_unrounded_covariance, 0, 1, 2), 0.0)
     own = observations.gyroscope_noise_raw
     density = np.sqrt(median(np.where(np.isfinite(own), own**2, variance * observations.duration_s[:, None])))
-    duration = np.maximum(moves.slots.duration_s, SHORTEST_SLOT_S)[:, None]
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=observations.gyroscope_unrounded_covariance,
         rounding_covariance=observations.gyroscope_rounding(),
         # At the attitude where moves begin and end.
         force=rotate(exponential(-observations.middle_rad), given.force_m_s2),
-        moves=centre(moves, rest, _slot_force(parameters, moves.slots.force / duration)),
+        moves=centre(moves, rest, _force_of_slots(given)),
         chain=chains_of(len(observations), moves.before, moves.after),
         noise_density_raw=density,
         rest_raw=rest,
@@ -142,8 +153,10 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     )
 
 
-def _slot_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
-    """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
+def _force_of_slots(given: GyroscopeInput) -> FloatArray:
+    """Return the specific force of the slot means of the moves, no quadratic term, shape (k, 3): enough for g-sensitivity."""
+    parameters, slots = given.calibration.accelerometer, given.moves.slots
+    mean_raw = slots.force / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
     s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
     return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)
 

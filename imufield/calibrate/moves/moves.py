@@ -12,6 +12,7 @@ inside, and belong to the still as long as both triads stay within a few of its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -314,6 +315,13 @@ class Moves:
     def duration_s(self) -> FloatArray:
         """Time that the slots of each move cover, shape (m,)."""
         return np.add.reduceat(self.slots.duration_s, self.first)
+
+    def without(self, out: NDArray[np.bool_], why: Sequence[Sentence]) -> Moves:
+        """Return the moves without some of them, shape (m,), and why each of these cannot be used."""
+        names, length = ("before", "after", "start_s", "end_s"), self.length[~out]
+        kept = {name: getattr(self, name)[~out] for name in names}
+        slots = self.slots[~np.repeat(out, self.length)]
+        return replace(self, **kept, first=np.cumsum(length) - length, slots=slots, dropped=(*self.dropped, *why))
 
 
 def cut_moves(

@@ -15,6 +15,7 @@ from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import Gauge
 from imufield.simulate.truth.grades import GRADES, draw_truth
+from tests.told import told
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])[[0, 4, 2, 3, 1, 5, 1, 3, 5, 0, 2, 4]]
 
@@ -40,3 +41,17 @@ def test_a_misalignment_of_the_accelerometer_that_faces_hide_is_in_the_sigma(gau
         assert np.linalg.eigvalsh(joined / np.outer(size, size)).min() > -1e-9
     assert 0.6 < np.sqrt(np.mean(np.square(found))) < 1.3
     assert np.abs(found).max() < 3.5
+
+
+def test_a_move_with_a_damaged_accelerometer_sample_is_left_out_and_told() -> None:
+    session = simulate(3)
+    moves, whole = session.given.moves, calibrate_gyroscope(session.given)
+    force = moves.slots.force.copy()
+    # One sample of 9.4 m/s^2 whose number lost its point.
+    force[moves.first[4] + 3] += 9.4e5 * moves.slots.duration_s[moves.first[4] + 3]
+    damaged = replace(session.given, moves=replace(moves, slots=replace(moves.slots, force=force)))
+    found = calibrate_gyroscope(damaged)
+    assert told(found.reasons, "input.impossible_force")[0].values["begin_s"] == pytest.approx(moves.start_s[4])
+    assert len(found.moves.after_deg) == len(moves) - 1
+    change = found.calibration.parameters.g_sensitivity - whole.calibration.parameters.g_sensitivity
+    assert np.abs(change / whole.calibration.sigma.g_sensitivity).max() < 1.0
