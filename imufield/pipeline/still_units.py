@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from imufield.acquire.formats.tables import ImportedTable
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import replace
+from imufield.errors import UsageError
 from imufield.guide.lead.still_scales import StillScales, find_scales
 from imufield.samples import LARGEST_OUTPUT, TRIADS, FloatArray, Samples, SampleUnits, make_samples
 from imufield.sentences import Sentence, Sentences
@@ -17,12 +18,15 @@ from imufield.sentences import Sentence, Sentences
 sentence = Sentences(__package__)
 
 _ROWS_AT_ONCE = 4096
+_SWAPPED = [0, 4, 5, 6, 1, 2, 3, 7]  # Columns of a row with either triad in the place of the other.
 
 
 def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     """Return a table with the units that its stills show in place of guesses, and what is to be said of them."""
     kept = {triad: str(table.settings[f"{triad}_unit"]) for triad in TRIADS}
-    found = find_scales(_blocks(table), np.array(table.raw_zero))
+    found = find_scales(_blocks(table.rows), np.array(table.raw_zero))
+    if not found.scales and find_scales(_blocks(table.rows, _SWAPPED), np.array(table.raw_zero[:3])).are_sure:
+        raise UsageError(sentence("still_units.swapped"))
     stated = {triad: table.stated.get(triad, unit) for triad, unit in kept.items()}
     # Of the numbers as they stand in the file: a unit may have been converted.
     factors = {triad: (nominal_scale(stated[triad]) or 1.0) / (nominal_scale(unit) or 1.0) for triad, unit in kept.items()}
@@ -54,10 +58,10 @@ def _other_rate(scale: float, rate_hz: float, rate_raw: FloatArray) -> dict[str,
     return {"gyroscope": sentence("still_units.other_rate", unit=unit, right_hz=rates_hz[unit], rate_hz=rate_hz)}
 
 
-def _blocks(table: ImportedTable) -> Iterator[Samples]:
+def _blocks(rows: FloatArray, columns: Sequence[int] = range(8)) -> Iterator[Samples]:
     units = SampleUnits(accelerometer="count", gyroscope="count")
-    for start in range(0, len(table.rows), _ROWS_AT_ONCE):
-        part = table.rows[start : start + _ROWS_AT_ONCE]
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        part = rows[start : start + _ROWS_AT_ONCE, columns]
         # What no instrument can have sent is damage, to the decoder too.
         values = np.where(np.abs(part) <= LARGEST_OUTPUT, part, np.nan)
         yield make_samples(part[:, 0], values[:, 1:4], values[:, 4:7], units=units)

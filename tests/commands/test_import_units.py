@@ -236,3 +236,17 @@ def test_positions_of_an_accelerometer_alone_are_verified(tmp_path: Path, capsys
     assert len(found["positions"]["name"]) > 12
     assert run(["verify", str(session), "--latitude", "45", "--require", "residual-ug=5000"]) == 0
     fails(["verify", str(session), "--latitude", "45", "--require", "nav-nmi-per-h=1"], 5, Reason.UNITS, "gyroscope")
+
+
+@pytest.mark.parametrize("counts", [False, True])
+def test_triads_in_each_other_s_place_are_refused(tmp_path: Path, *, counts: bool) -> None:
+    values = recorded()[0] * np.repeat([1.0, 1000 / G, 50.0], [1, 3, 3]) if counts else recorded()[0]
+    values = np.rint(values * [100.0, *[1.0] * 6]) / [100.0, *[1.0] * 6] if counts else values
+    files = [tmp_path / "first.txt", tmp_path / "second.txt"]
+    for path, columns in zip(files, ([0, 4, 5, 6], [0, 1, 2, 3]), strict=True):
+        np.savetxt(path, values[:, columns])
+    with refused(UsageError, Reason.USAGE, "--columns", key="still_units.swapped"):
+        import_session(ImportOptions(files=files, output=tmp_path / "swapped"))
+    assert not (tmp_path / "swapped").exists()
+    session, _ = import_session(ImportOptions(files=files[::-1], output=tmp_path / "right"))
+    assert len(session.parts) == 1

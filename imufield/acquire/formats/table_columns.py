@@ -285,7 +285,10 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         if rate_hz is not None or not step or any(SHORTEST_STEP_S <= each * scale <= LONGEST_STEP_S for each in steps):
             return scale, ""
         told = {"name": path.name, "unit": unit, "step": step, "rate_hz": 1.0 / (step * scale)}
-        return scale, sentence("table_columns.implausible", **told)
+        scales = ((name, each) for name, each in SECONDS.items() if each <= 1.0)
+        likely = next((name for name, each in scales if SHORTEST_STEP_S <= step * each <= LONGEST_STEP_S), "")
+        key = "table_columns.implausible" if likely else "table_columns.implausible_in_all"
+        return scale, sentence(key, likely=likely, **told)
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz

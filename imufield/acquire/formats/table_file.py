@@ -235,8 +235,14 @@ def _check_temperatures(source: Source, kept: Fields, rows: Sequence[int]) -> No
 
 def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[int], *, is_guess: bool) -> None:
     """Refuse a time that decreases; ``is_guess``: nobody said that the column is the time."""
-    if time is None or not (steps_back := np.diff(time) < 0.0).any():
+    if time is None or not len(later := np.flatnonzero(np.diff(time) < 0.0) + 1):
         return
-    row = int(np.argmax(steps_back)) + 1
+    row = int(later[0])
+    # Where the others rise without it one time alone is wrong, and it may be the one before.
+    near = range(max(row - 2, 0), min(row + 2, len(time)))
+    without = {each: np.diff([time[other] for other in near if other != each]) for each in (row, row - 1)}
+    alone = next((each for each, steps in without.items() if (steps >= 0.0).all()), None)
+    if len(later) == 1 and alone is not None and len(near) > 2:
+        raise _fault("table_file.wrong_time", source, rows[alone], value=time[alone])
     key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"
     raise _fault(key, source, rows[row], before=time[row - 1], after=time[row], example=",".join(FIELDS[: source.width]))

@@ -191,7 +191,8 @@ class TextTable:
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
         if max(columns) >= self.width:
-            return _bad("table_text.narrow_rows", self.path, width=self.width, line=lines_before + 1)
+            told = {"width": self.width, "named": len(self.header or ()), "line": lines_before + 1}
+            return _bad("table_text.narrow_rows", self.path, **told)
         for number, row in enumerate(rows, start=lines_before + 1):
             text = row.split("#")[0].strip()
             if not text:
@@ -237,15 +238,17 @@ def open_table(path: str | Path) -> TextTable:
     names = [line.strip() for _, line in texts[:first]]
     number, line = texts[first]
     delimiter, decimal_comma = _delimiter_below(names, line.strip())
+    # The last line may be cut.
+    sound = texts[first : max(len(texts) - 1, first + 1)][:ROWS_LOOKED_AT]
+    head_rows = tuple(tuple(_first_cells(row.replace(",", ".") if decimal_comma else row, delimiter)) for _, row in sound)
     cells = _first_cells(line, delimiter)
+    if len(head_rows) > 2 and len(below := {*map(len, head_rows[1:])}) == 1 and len(cells) < min(below):
+        cells = [*head_rows[1]]  # What the first row lacks is told when it is read.
     header, units = _header(path, names, comments, delimiter=delimiter, width=len(cells))
     if header is not None and len(header) < len(cells):
         # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
         cells = _first_cells(line.split("#", 1)[0], delimiter)
         header += ("",) * (len(cells) - len(header) if not any(cells[len(header) :]) else 0)
-    # The last line may be cut.
-    sound = texts[first : max(len(texts) - 1, first + 1)][:ROWS_LOOKED_AT]
-    head_rows = tuple(tuple(_first_cells(row.replace(",", ".") if decimal_comma else row, delimiter)) for _, row in sound)
     return TextTable(
         path=path,
         delimiter=delimiter,

@@ -194,6 +194,10 @@ def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str |
     if len(parts) != len(paths):
         raise UsageError(sentence("tables.other_number", found=len(parts), files=len(paths), columns=columns))
     sources = [open_source(Path(path), topic) for path in paths]
+    # Of files with a heading, the quantities that are there twice are told.
+    headless = [source.path.resolve() for source in sources if source.header is None and columns is None]
+    if twice := [path for path in headless if headless.count(path) > 1]:
+        raise UsageError(sentence("tables.same_file", path=twice[0]))
     told = enumerate(zip(sources, parts, strict=True))
     meanings = [meaning_of(source, names, number, len(paths)) for number, (source, names) in told]
     reads = [Beside(partial(source.read, meaning.places)) for source, meaning in zip(sources, meanings, strict=True)]

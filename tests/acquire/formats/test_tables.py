@@ -224,7 +224,11 @@ def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
         (9, "0.08 1.0 -inf 9.8", "table_file.not_finite", {"name": "ay", "value": -np.inf}),
         (9, "0.08 1.0 1e999 9.8", "table_file.not_finite", {"name": "ay", "value": np.inf}),
         (9, "nan 1.0 2.0 9.8", "table_file.not_finite", {"name": "time"}),
-        (9, "0.01 1.0 2.0 9.8", "table_file.guessed_time_back", {"before": 0.07, "after": 0.01}),
+        (9, "0.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 0.01}),
+        (9, "7.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 7.01}),
+        (1, "7.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 7.01}),
+        (50, "0.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 0.01}),
+        (1, "0.00 1.0 9.8", "table_text.other_width", {"found": 3, "width": 4}),
         (50, "0.49 1.0 --- 9.8", "table_text.no_number", {"text": "---"}),
     ],
 )
@@ -248,11 +252,25 @@ def test_a_bad_line_is_named(
     assert caught.value.values["line"] == line
 
 
+@pytest.mark.parametrize(("header", "key"), [("", "table_file.guessed_time_back"), ("time ax ay az\n", "table_file.time_back")])
+def test_a_clock_that_began_anew_is_told_with_both_times(tmp_path: Path, header: str, key: str) -> None:
+    path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - 0.1), ACCELEROMETER, header=header))
+    with refused(RecordingError, Reason.BAD_DATA, "--columns", key=key) as caught:
+        read_tables([path])
+    assert {"before": 0.19, "after": 0.1, "line": 21 + len(header.splitlines())}.items() <= caught.value.values.items()
+
+
+def test_a_file_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER))
+    with refused(UsageError, Reason.USAGE, str(path), key="tables.same_file"):
+        read_tables([path, path.parent / "." / path.name])
+
+
 def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER, header="t ax ay az gx gy gz\n"))
     with refused(RecordingError, Reason.BAD_DATA, "4 columns", key="table_text.narrow_rows") as caught:
         read_tables([path])
-    assert caught.value.values["line"] == 2
+    assert {"line": 2, "named": 7}.items() <= caught.value.values.items()
 
 
 @pytest.mark.parametrize("bad", ["0.02,0,0,9.8", "0.02,0,0,9.8,5,6", "0.02,0,0,9.8,5,6,7,8"])
