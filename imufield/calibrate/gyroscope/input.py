@@ -26,7 +26,7 @@ from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -40,7 +40,10 @@ _CONSTANT = 1e-9
 _NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
-_LARGEST_FORCE_M_S2 = 500.0  # Of 10 ms: a hand makes a tenth of it, and instruments that are moved by hand end below.
+# Of 10 ms: a hand makes a tenth of it, and instruments that are moved by hand end below.
+_LARGEST_FORCE_M_S2 = 500.0
+_FASTEST_DEG_S = 4500.0
+_MOST_DAMAGED = 0.25  # Share of the moves.
 _TURNED = 0.98  # Cosine of 11 deg between the directions of gravity before and after a move.
 
 
@@ -116,15 +119,25 @@ class GyroscopeInput:
 
 
 def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
-    """Return the input without moves in which the accelerometer shows what no hand makes: g-sensitivity would follow it."""
-    moves = given.moves
-    largest = np.maximum.reduceat(np.linalg.norm(_force_of_slots(given), axis=1), moves.first) if len(moves) else np.empty(0)
-    out = largest > _LARGEST_FORCE_M_S2
-    spans = zip(moves.start_s[out], moves.end_s[out], largest[out], strict=True)
-    why = [
-        sentence("input.impossible_force", begin_s=begin_s, end_s=end_s, found_m_s2=found, limit_m_s2=_LARGEST_FORCE_M_S2)
-        for begin_s, end_s, found in spans
-    ]
+    """Return the input without moves in which an output shows what no hand makes: one such sample would turn the whole fit."""
+    moves, why = given.moves, list[Sentence]()
+    if not len(moves):
+        return given
+    duration_s = np.maximum(moves.slots.duration_s, SHORTEST_SLOT_S)[:, None]
+    shown = {"accelerometer": (_force_of_slots(given), _LARGEST_FORCE_M_S2, "m/s^2")}
+    if (preset := given.preset_inverse()) is not None:
+        rate_raw = moves.slots.turn / duration_s - given.rest_raw
+        shown["gyroscope"] = np.degrees(rate_raw @ preset.T), _FASTEST_DEG_S, "deg/s"
+    out = np.zeros(len(moves), dtype=np.bool_)
+    for triad, (values, limit, unit) in shown.items():
+        largest = np.maximum.reduceat(np.linalg.norm(values, axis=1), moves.first)
+        beyond = np.flatnonzero(largest > limit)
+        # So many are no damage: the unit is another, which is told elsewhere.
+        beyond = beyond if len(beyond) <= _MOST_DAMAGED * len(moves) else beyond[:0]
+        out[beyond] = True
+        for k in beyond:
+            told = {"triad": triad, "found": largest[k], "limit": limit, "unit": unit}
+            why.append(sentence("input.impossible", begin_s=moves.start_s[k], end_s=moves.end_s[k], **told))
     return replace(given, moves=moves.without(out, why)) if why else given
 
 

@@ -43,15 +43,19 @@ def test_a_misalignment_of_the_accelerometer_that_faces_hide_is_in_the_sigma(gau
     assert np.abs(found).max() < 3.5
 
 
-def test_a_move_with_a_damaged_accelerometer_sample_is_left_out_and_told() -> None:
+@pytest.mark.parametrize(("triad", "output"), [("accelerometer", 9.4e5), ("gyroscope", np.radians(9123.0))])
+def test_a_move_with_a_damaged_sample_is_left_out_and_told(triad: str, output: float) -> None:
     session = simulate(3)
     moves, whole = session.given.moves, calibrate_gyroscope(session.given)
-    force = moves.slots.force.copy()
-    # One sample of 9.4 m/s^2 whose number lost its point.
-    force[moves.first[4] + 3] += 9.4e5 * moves.slots.duration_s[moves.first[4] + 3]
-    damaged = replace(session.given, moves=replace(moves, slots=replace(moves.slots, force=force)))
+    slots, row = moves.slots, moves.first[4] + 3
+    name = {"accelerometer": "force", "gyroscope": "turn"}[triad]
+    values = getattr(slots, name).copy()
+    # One sample whose number lost its point.
+    values[row] += output * slots.duration_s[row]
+    damaged = replace(session.given, moves=replace(moves, slots=replace(slots, **{name: values})))
     found = calibrate_gyroscope(damaged)
-    assert told(found.reasons, "input.impossible_force")[0].values["begin_s"] == pytest.approx(moves.start_s[4])
+    ((begin_s, named),) = [(each.values["begin_s"], each.values["triad"]) for each in told(found.reasons, "input.impossible")]
+    assert (begin_s, named) == (pytest.approx(moves.start_s[4]), triad)
     assert len(found.moves.after_deg) == len(moves) - 1
     change = found.calibration.parameters.g_sensitivity - whole.calibration.parameters.g_sensitivity
     assert np.abs(change / whole.calibration.sigma.g_sensitivity).max() < 1.0
