@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imufield.acquire.beside import Beside
 from imufield.acquire.clock.sample_clock import LARGEST_RATE_ERROR
 from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
@@ -27,7 +28,6 @@ from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder, packed, part_metadata, protocol_tables
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.registry import load_driver
-from imufield.beside import Beside
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.options.configuration import parse_zero
 from imufield.commands.terminal.output import echo, say_each

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imufield.acquire.beside import Beside
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.beside import Beside
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.calibrate.gyroscope.whole_turns import stops_at
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire.beside import Beside
 from imufield.acquire.formats.table_arrays import ArrayTable
 from imufield.acquire.formats.table_columns import (
     COUNTER,
@@ -36,7 +37,6 @@ from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.units import SECONDS, TO_SI, unit_name
-from imufield.beside import Beside
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError

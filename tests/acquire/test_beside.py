@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from imufield.beside import Beside
+from imufield.acquire.beside import Beside
 
 
 def test_the_result_is_waited_for() -> None:
