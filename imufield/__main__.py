@@ -1,5 +1,5 @@
 """Run the command line as ``python -m imufield``."""
 
-from imufield.cli import main
+from imufield.cli import program
 
-main()
+program()

@@ -160,7 +160,7 @@ def test_values_out_of_range_are_refused(option: str, value: str, capsys: pytest
 def test_what_others_want_at_the_end_is_done(comes: str) -> None:
     code = f"""
 import atexit, sys
-from imufield.cli import main, run
+from imufield.cli import program, run
 
 def register():
     atexit.register(print, "done")
@@ -174,10 +174,26 @@ if {comes == "later"}:
 else:
     register()
 sys.argv[1:] = ["devices", "--nonsense"]
-main()
+program()
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=900)
     assert (ended.returncode, ended.stdout) == (2, "done\n"), ended.stderr
+
+
+def test_a_script_that_goes_on_ends_as_it_says(tmp_path: Path) -> None:
+    code = """
+import contextlib, sys
+from imufield.cli import main
+
+sys.argv[1:] = ["devices", "--nonsense"]
+with contextlib.suppress(SystemExit):
+    main()
+never_closed = open("written", "w")
+never_closed.write("all of it")
+sys.exit(5)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=900, cwd=tmp_path)
+    assert (ended.returncode, (tmp_path / "written").read_text()) == (5, "all of it")
 
 
 def test_version() -> None:

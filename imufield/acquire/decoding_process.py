@@ -131,7 +131,8 @@ def _widen(end: Connection) -> None:
 
 def _is_program() -> bool:
     """Whether the main module is imufield's own: the process imports it again, and somebody's script would run twice."""
-    return getattr(getattr(sys.modules["__main__"], "main", None), "__module__", "") == PROGRAM
+    run = (getattr(sys.modules["__main__"], name, None) for name in ("program", "main"))
+    return any(getattr(each, "__module__", "") == PROGRAM for each in run)
 
 
 def _steps_of(answers: Connection, session: Session, decoder: SessionDecoder) -> Generator[Step, None, _End]:

@@ -25,6 +25,19 @@ _FOR_PIPES = "imufield.pipe"  # Name of an error handler.
 _MAPPED_BYTES = 1 << 25  # Of an array from which on it is mapped by itself: the most that glibc takes.
 
 
+def program() -> None:
+    """Run the command line as all that this process does; a script, which may go on, calls ``main``."""
+    left = list[int]()
+    # Where no handler is there yet: those that come later are called before.
+    if not atexit._ncallbacks():  # noqa: SLF001
+        atexit.register(_leave_at_once, left)
+    try:
+        main()
+    except SystemExit as leave:
+        left.append(leave.code if isinstance(leave.code, int) else 1)
+        raise
+
+
 def main() -> None:
     """Run the command line and leave with the exit code that docs/errors.md lists."""
     # The matrices are small: threads of the linear algebra would double the processor time and gain nothing.
@@ -32,10 +45,6 @@ def main() -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # Imports make objects by tens of thousands, all to stay: at the usual 700 the collector goes through them a hundred times.
     gc.set_threshold(100_000)
-    left = list[int]()
-    # Of the program itself, and where no handler is there yet: those that come later are called before.
-    if getattr(sys.modules["__main__"], "main", None) is main and not atexit._ncallbacks():  # noqa: SLF001
-        atexit.register(_leave_at_once, left)
     _open_closed_streams()
     _let_standard_error_fail()
     # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
@@ -58,7 +67,8 @@ def main() -> None:
         from imufield.errors import EXIT_INTERRUPTED
 
         code = EXIT_INTERRUPTED
-    left.append(code)
+    # Files are closed where they are used: on the way out the collector need not go through all that there is.
+    gc.freeze()
     sys.exit(code)
 
 

@@ -190,6 +190,8 @@ class TextTable:
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
+        for _ in read_pieces(self.path, BLOCK_BYTES):
+            pass  # Where the packing is damaged, it is what is wrong with the line, and is told at its end.
         if max(columns) >= self.width:
             told = {"width": self.width, "named": len(self.header or ()), "line": lines_before + 1}
             return _bad("table_text.narrow_rows", self.path, **told)

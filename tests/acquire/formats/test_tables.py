@@ -214,6 +214,16 @@ def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
         read_tables([path])
 
 
+def test_a_damaged_packing_is_told_before_the_lines_that_it_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_text, "BLOCK_BYTES", 300)
+    packed = bytearray(gzip.compress(text_of(TIME, ACCELEROMETER).replace("\n", "\nx ", 9).encode()))
+    packed[-8] ^= 1  # Of its checksum.
+    path = tmp_path / "table.txt.gz"
+    path.write_bytes(packed)
+    with refused(RecordingError, Reason.DAMAGED, key="table_text.bad_gzip"):
+        read_tables([path])
+
+
 @pytest.mark.parametrize(
     ("line", "bad", "key", "named"),
     [
