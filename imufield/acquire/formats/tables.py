@@ -216,9 +216,8 @@ def _with_own_times(file: File) -> File:
     if not len(repeated):
         return file
     told = {"name": file.name, "rows": len(repeated), "of": len(time)}
-    # Where a row of the same time differs, equal ones are samples of an instrument that stood still; three are of a frozen one.
-    is_copy = (np.array_equal(each[repeated], each[repeated - 1], equal_nan=True) for each in file.fields.values())
-    if not np.any(np.diff(repeated) == 1) and all(is_copy):
+    # Where a row of the same time differs, equal ones are samples of an instrument that stood still.
+    if all(np.array_equal(each[repeated], each[repeated - 1], equal_nan=True) for each in file.fields.values()):
         fields = {name: np.delete(each, repeated) for name, each in file.fields.items()}
         return replace(file, fields=fields, assumptions=(*file.assumptions, sentence("tables.copies", **told)))
     spread = spread_times(time)

@@ -131,8 +131,9 @@ class MoveCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        finite = np.abs(samples.gyroscope) <= LARGEST_OUTPUT
-        samples = samples if every(finite) else samples[np.flatnonzero(finite.all(axis=1))]
+        # A specific force may be missing, but one that no instrument has sent would be summed up.
+        sound = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT) & ~(np.abs(samples.accelerometer) > LARGEST_OUTPUT)
+        samples = samples if every(sound) else samples[np.flatnonzero(sound.all(axis=1))]
         if not len(samples):
             return
         self._largest.count(samples.gyroscope_rate().T)

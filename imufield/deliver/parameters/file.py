@@ -201,7 +201,9 @@ class Parameters:
             # A file without the gyroscope is still good for the accelerometer.
             if not self.gyroscope_is_complete:
                 return Corrected(raw.time_s, force, np.full_like(force, np.nan))
-            self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
+            # Samples without a gyroscope are in no unit of it.
+            if np.isfinite(raw.gyroscope).any():
+                self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
             found = self.calibration.gyroscope
             at_degc = temperatures_for(raw, None if found is None else found.temperature, 3)
             rate = self.apply_gyroscope(raw.gyroscope_rate(), force, temperature_degc=at_degc)

@@ -247,7 +247,10 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     else:
         differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
         kind = refusals.AXES_OPEN if agrees is None else differ
-        refusal = kind.refusal(given, GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
+        # The same of the accelerometer, by the fewer changes: mirrored, too, it turns alike.
+        own = axes_words(permutation.T if np.trace(permutation) >= 0 else -permutation.T)
+        told = {"axes": axes_words(permutation), "accelerometer": own}
+        refusal = kind.refusal(given, GOOD_DEG, best=best, second=second, **told)
         words = refusal.words
     return AxesCheck(
         agrees=agrees,

@@ -65,7 +65,7 @@ def test_rows_of_one_tick_are_spread_and_losses_stay_where_they_are(tmp_path: Pa
 
 def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     rows = np.column_stack([1e-2 * np.arange(500), np.random.default_rng(1).normal(size=(500, 3))])
-    for twice in (np.sort([*range(500), *range(0, 500, 100)]), np.repeat(np.arange(500), 2)):
+    for twice in (np.sort([*range(500), *range(0, 500, 100), 7, 7]), np.repeat(np.arange(500), 2)):
         table = read_tables([write(tmp_path, text_of(rows[twice, 0], rows[twice, 1:]))])
         np.testing.assert_array_equal(table.rows[:, :4], rows)
         assert "tables.copies" in keys(table.assumptions)

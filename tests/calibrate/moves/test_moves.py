@@ -325,6 +325,15 @@ def test_invalid_and_missing_samples() -> None:
     assert len(moves) == 0
 
 
+def test_a_specific_force_that_nothing_has_sent_is_a_lost_sample() -> None:
+    samples = session()
+    samples.accelerometer[2500] = [0.1, 1e300, 9.8]
+    moves = collect_moves([samples], START_S, DURATION_S)
+    assert len(moves) == 2
+    assert np.abs(moves.slots.force / moves.slots.duration_s[:, None]).max() < 10
+    assert between(turn_of(moves, 0), turn_of(collect_moves([session()], START_S, DURATION_S), 0)) < 1e-3
+
+
 def test_no_still_after_or_none_at_all() -> None:
     assert len(collect_moves([session()], START_S[:1], DURATION_S[:1])) == 0
     assert len(collect_moves([], START_S, DURATION_S)) == 0

@@ -127,6 +127,16 @@ def test_other_units_and_shapes_are_refused(made: Parameters) -> None:
         made.apply(np.zeros((50, 4)))
 
 
+def test_samples_without_a_gyroscope_are_in_no_unit_of_it(made: Parameters) -> None:
+    accelerometer = raw_accelerometer(made.calibration.accelerometer, FORCE)
+    units = SampleUnits(accelerometer="m/s^2", gyroscope="deg/s")
+    found = made.apply(make_samples(np.arange(50) / 200, accelerometer, np.full((50, 3), np.nan), units=units))
+    np.testing.assert_allclose(found.specific_force_m_s2, FORCE, atol=1e-10)
+    assert np.isnan(found.angular_rate_rad_s).all()
+    with refused(ParameterFileError, Reason.UNITS, "gyroscope", key="file.unit"):
+        made.apply(make_samples(np.arange(50) / 200, accelerometer, RATE, units=units))
+
+
 def test_without_gyroscope(made: Parameters, six_faces: Calibration) -> None:
     bare = replace(made, calibration=six_faces)
     samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits())

@@ -74,6 +74,16 @@ def test_exchanged_axes_are_not_called_left_handed(moves: Any) -> None:
     assert is_said_by(AXES_DIFFER, found.refusal)
 
 
+@pytest.mark.parametrize(
+    "own", [np.diag([-1, 1, 1]), np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), np.roll(np.eye(3), 1, axis=0)]
+)
+def test_the_axes_of_the_accelerometer_that_would_do_are_named(moves: Any, own: np.ndarray) -> None:
+    ups = [{name: getattr(move, name) @ own for name in ("up_before", "up_after")} for move in moves]
+    found = check_axes([dataclasses.replace(move, **up) for move, up in zip(moves, ups, strict=True)], 1.0)
+    assert is_said_by(AXES_DIFFER, found.refusal)
+    assert values_of(found.words)["accelerometer"] == axes_words(own)
+
+
 def test_an_unknown_scale_is_found(moves: Any) -> None:
     counts = [dataclasses.replace(move, rate_raw=move.rate_raw * 4780.0) for move in moves]
     found = check_axes(counts, None)
