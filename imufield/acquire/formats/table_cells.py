@@ -14,8 +14,9 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     """Return what separates cells, and whether commas are decimal ones."""
     # What stands in quotes separates nothing.
     outside, bare = _QUOTED.sub("", line), line.replace('"', "")
-    if ";" in outside:
-        return ";", "," in bare
+    for mark in ";|":
+        if mark in outside:
+            return mark, "," in bare
     # Between tabs a comma is a decimal one where it cannot be another.
     is_one_each = max(cell.count(",") for cell in bare.split("\t")) == 1
     if "\t" in outside and is_one_each and "." not in bare and _DECIMAL_COMMA.search(bare):

@@ -46,6 +46,7 @@ def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
         ("time_s acc;x acc_y acc_z\n", " "),
         ("time_s, acc_x, acc_y, acc_z\n", " "),
         ("time_s;acc,x;acc,y;acc,z\n", ";"),
+        ("time_s|acc;x|acc,y|acc,z\n", "|"),
         ("# time_s,acc;x,acc_y,acc_z\n", ","),
     ],
 )
