@@ -28,7 +28,7 @@ ROOMS = (
     ("progress",),
     ("samples", "earth", "files", "toml_and_json", "console", "campaign"),
     ("drawing",),
-    ("acquire/beside", "acquire/protocol"),
+    ("acquire/background_work", "acquire/protocol"),
     ("acquire/decode",),
     ("acquire/clock",),
     ("acquire/decoder",),

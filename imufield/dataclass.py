@@ -50,7 +50,7 @@ else:
 
 
 def _with_fields(cls: type, decorate: Callable[[type], type]) -> type:
-    """Return the class decorated; that its annotations stand for fields is seen sooner here than by the standard library."""
+    """Decorate with annotations replaced by None: the standard library parses each string for ClassVar and KW_ONLY."""
     told = get_annotations(cls)
     if not all(isinstance(each, str) and "ClassVar" not in each and "KW_ONLY" not in each for each in told.values()):
         return decorate(cls)

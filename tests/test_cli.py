@@ -180,6 +180,24 @@ program()
     assert (ended.returncode, ended.stdout) == (2, "done\n"), ended.stderr
 
 
+@pytest.mark.parametrize(("entry", "said"), [("main", "freed\n"), ("program", "")])
+def test_the_program_leaves_without_freeing_what_there_is(entry: str, said: str) -> None:
+    code = f"""
+import os, sys
+from imufield.cli import {entry}
+
+class Held:
+    def __del__(self, write=os.write):
+        write(1, b"freed\\n")
+
+held = Held()
+sys.argv[1:] = ["devices", "--nonsense"]
+{entry}()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=900)
+    assert (ended.returncode, ended.stdout) == (2, said)
+
+
 def test_a_script_that_goes_on_ends_as_it_says(tmp_path: Path) -> None:
     code = """
 import contextlib, sys

@@ -196,3 +196,19 @@ def test_super_finds_the_initialiser_of_a_base() -> None:
             super().__init__(4)
 
     assert Derived().size == 4
+
+
+@pytest.mark.parametrize("slots", [False, True])
+def test_fields_have_the_annotations_of_their_classes(*, slots: bool) -> None:
+    found = []
+    for decorator in (dataclass, dataclasses.dataclass):
+
+        class Base:
+            x: int
+
+        class Derived(decorator(slots=slots)(Base)):  # type: ignore[misc]  # a base that is made here
+            y: list[str] = field(default_factory=list)
+
+        made = decorator(slots=slots)(Derived)
+        found.append(([(each.name, each.type) for each in fields(made)], made.__annotations__))
+    assert found[0] == found[1] == ([("x", "int"), ("y", "list[str]")], {"y": "list[str]"})

@@ -131,8 +131,7 @@ def _widen(end: Connection) -> None:
 
 def _is_program() -> bool:
     """Whether the main module is imufield's own: the process imports it again, and somebody's script would run twice."""
-    run = (getattr(sys.modules["__main__"], name, None) for name in ("program", "main"))
-    return any(getattr(each, "__module__", "") == PROGRAM for each in run)
+    return getattr(getattr(sys.modules["__main__"], "program", None), "__module__", "") == PROGRAM
 
 
 def _steps_of(answers: Connection, session: Session, decoder: SessionDecoder) -> Generator[Step, None, _End]:

@@ -34,7 +34,7 @@ def program() -> None:
     try:
         main()
     except SystemExit as leave:
-        left.append(leave.code if isinstance(leave.code, int) else 1)
+        left.append(leave.code if isinstance(leave.code, int) else int(leave.code is not None))
         raise
 
 

@@ -34,7 +34,7 @@ def _end_with(starter: int) -> None:
 
 
 if __name__ == "__main__":
-    from imufield.cli import app, main
+    from imufield.cli import app, program
 
     app.boxes = False
     # For this thread alone: a question to a person must find nobody, and what is started here must not hold it.
@@ -43,4 +43,4 @@ if __name__ == "__main__":
         os.dup2(nobody.fileno(), 0)
     progress.tell()
     threading.Thread(target=_end_with, args=(held,), daemon=True).start()
-    main()
+    program()

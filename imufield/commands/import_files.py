@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from imufield.acquire.beside import Beside
+from imufield.acquire.background_work import BackgroundWork
 from imufield.acquire.clock.sample_clock import LARGEST_RATE_ERROR
 from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
@@ -143,15 +143,15 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         settings=options.settings,
         topic=options.topic,
     )
-    blocks = Beside(lambda: packed(row_chunks(read.rows, read.status, read.counter)))
+    blocks = BackgroundWork(lambda: packed(row_chunks(read.rows, read.status, read.counter)))
     table = with_units_of_stills(read)
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
     label = sentence("import_files.table_label", setting=TIME_UNIT)
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label=label)
     began = _began(table.begin_s)
-    with _whole_or_nothing(_new_session(options, protocol, table, began), protocol) as (session, recorder):
-        recorder.write_packed(blocks.result())
+    with _whole_or_nothing(_new_session(options, protocol, table, began), protocol, blocks.result) as (session, _):
+        pass
     return session, [_said_of_table(table), *table.assumptions, *_said_of(began)]
 
 
@@ -319,7 +319,9 @@ def _stays(folder: Path) -> Sentence | None:
 
 
 @contextmanager
-def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Session, Recorder]]:
+def _whole_or_nothing(
+    session: Session, protocol: Protocol, packed_first: Callable[[], Sequence[bytes]] = tuple
+) -> Iterator[tuple[Session, Recorder]]:
     """Record into a new session and finish it; remove it if it cannot be completed: its files can be imported again.
 
     Raises
@@ -328,7 +330,7 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
         If the disk is full.
     """
     try:
-        with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        with Recorder(session.add_part(), part_metadata(protocol, {}), first=packed_first()) as recorder:
             yield session, recorder
     except BaseException as error:
         # The folder was new or empty.

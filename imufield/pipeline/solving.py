@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.acquire.beside import Beside
+from imufield.acquire.background_work import BackgroundWork
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
@@ -184,7 +184,7 @@ def read_recording(
     goes_on = session.is_being_recorded
     collected = ReadingCollector()
     chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
-    sha256 = Beside(session.sha256)
+    sha256 = BackgroundWork(session.sha256)
     if not (goes_on or listeners) and is_kept(session):
         found = kept(session, sha256.result())
         if found is not None:

@@ -25,7 +25,7 @@ def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     """Return a table with the units that its stills show in place of guesses, and what is to be said of them."""
     kept = {triad: str(table.settings[f"{triad}_unit"]) for triad in TRIADS}
     found = find_scales(_blocks(table.rows), np.array(table.raw_zero))
-    if not found.scales and find_scales(_blocks(table.rows, _SWAPPED), np.array(table.raw_zero[:3])).are_sure:
+    if not found.scales and find_scales(_blocks(table.rows, _SWAPPED), np.array(table.raw_zero)).are_sure:
         raise UsageError(sentence("still_units.swapped"))
     stated = {triad: table.stated.get(triad, unit) for triad, unit in kept.items()}
     # Of the numbers as they stand in the file: a unit may have been converted.
@@ -58,7 +58,7 @@ def _other_rate(scale: float, rate_hz: float, rate_raw: FloatArray) -> dict[str,
     return {"gyroscope": sentence("still_units.other_rate", unit=unit, right_hz=rates_hz[unit], rate_hz=rate_hz)}
 
 
-def _blocks(rows: FloatArray, columns: Sequence[int] = range(8)) -> Iterator[Samples]:
+def _blocks(rows: FloatArray, columns: Sequence[int] | slice = slice(None)) -> Iterator[Samples]:
     units = SampleUnits(accelerometer="count", gyroscope="count")
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         part = rows[start : start + _ROWS_AT_ONCE, columns]

@@ -58,7 +58,7 @@ def session(tmp_path: Path) -> Session:
 def as_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let this process pass for the program on a machine of two cores."""
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(sys.modules["__main__"], "main", imufield.cli.main, raising=False)
+    monkeypatch.setattr(sys.modules["__main__"], "program", imufield.cli.program, raising=False)
 
 
 @dataclass
@@ -174,6 +174,7 @@ def test_a_script_of_somebody_runs_once(session: Session, tmp_path: Path, *, fro
     """Without the usual guard, or from standard input: a process that is spawned would run it again."""
     script = (
         "from imufield.acquire import decoding_process\n"
+        "from imufield.cli import main\n"
         "from imufield.acquire.recording.session import Session\n"
         "from imufield.pipeline.chain import session_samples\n"
         "decoding_process.LONG_BYTES = 0\n"
@@ -193,7 +194,7 @@ def test_a_process_hears_no_interrupt(session: Session, tmp_path: Path) -> None:
         import multiprocessing, os, signal
         from imufield.acquire import decoding_process
         from imufield.acquire.recording.session import Session
-        from imufield.cli import main
+        from imufield.cli import program
         from imufield.pipeline.chain import session_samples
 
         if __name__ == "__main__":

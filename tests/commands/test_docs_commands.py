@@ -80,6 +80,7 @@ def furnished(solved_session: Path, tmp_path_factory: pytest.TempPathFactory) ->
     shutil.copytree(PROJECT / "docs" / "exports", folder / "docs" / "exports")
     write_kept(solved_session / "parameters.toml", folder / "calibrations")
     write_table(folder / "bench-17.csv")
+    write_logs(solved_session, folder)
     assert run(["import", str(folder / "bench-17.csv"), "--rate-hz", "20", "-o", str(folder / "rest-of-1-hour")]) == 0
     return folder
 
@@ -104,6 +105,14 @@ def write_table(path: Path) -> None:
     rows = np.hstack([force, rate + 1e-5 * rng.standard_normal((n, 3))])
     header = "ax (m/s^2),ay (m/s^2),az (m/s^2),gx (rad/s),gy (rad/s),gz (rad/s)"
     np.savetxt(path, rows, delimiter=",", header=header, comments="")
+
+
+def write_logs(session: Path, folder: Path) -> None:
+    """Write the session as logs of two instruments."""
+    assert run(["export-data", str(session), "-o", str(folder / "both.csv")]) == 0
+    rows = np.loadtxt(folder / "both.csv", delimiter=",", skiprows=1, usecols=range(7))
+    np.savetxt(folder / "accelerometer.csv", rows[:, :4], delimiter=",", header="time_s,ax,ay,az", comments="")
+    np.savetxt(folder / "gyroscope.csv", rows[:, [0, 4, 5, 6]], delimiter=",", header="time_s,gx,gy,gz", comments="")
 
 
 def test_there_are_lines_and_reasons_are_used() -> None:

@@ -18,7 +18,6 @@ from scipy.io import savemat
 
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
@@ -210,14 +209,14 @@ def test_garbage_is_a_typed_error(tmp_path: Path, suffix: str, capsys: pytest.Ca
 def test_an_import_that_ends_early_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
-    def fail(recorder: object, *_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         if isinstance(error, OSError):
             raise RecordingError("the disk is full", Reason.DISK_FULL) from error
         raise error
 
     path = tmp_path / "rows.csv"
     path.write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(50)))
-    monkeypatch.setattr(Recorder, "write_packed", fail)
+    monkeypatch.setattr(import_files, "Recorder", fail)
     with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
         import_files.import_session(ImportOptions(files=[path], output=tmp_path / "new"))
     assert not (tmp_path / "new").exists()

@@ -76,8 +76,7 @@ def rest_session(
         "finished": True,
     }
     session = Session.create_in(folder, "bench", content | metadata)
-    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        recorder.write_packed(packed(row_chunks(rows)))
+    Recorder(session.add_part(), part_metadata(protocol, {}), first=packed(row_chunks(rows))).close()
     return session
 
 

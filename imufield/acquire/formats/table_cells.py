@@ -14,9 +14,11 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     """Return what separates cells, and whether commas are decimal ones."""
     # What stands in quotes separates nothing.
     outside, bare = _QUOTED.sub("", line), line.replace('"', "")
-    for mark in ";|":
-        if mark in outside:
-            return mark, "," in bare
+    if ";" in outside:
+        return ";", "," in bare
+    # A bar may stand in a text; it parts cells where a number stands beside it.
+    if "|" in outside and any(is_number(cell.replace(",", ".")) for cell in split_cells(outside, "|") if cell):
+        return "|", "," in bare
     # Between tabs a comma is a decimal one where it cannot be another.
     is_one_each = max(cell.count(",") for cell in bare.split("\t")) == 1
     if "\t" in outside and is_one_each and "." not in bare and _DECIMAL_COMMA.search(bare):

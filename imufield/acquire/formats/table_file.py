@@ -240,9 +240,10 @@ def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[
     row = int(later[0])
     # Where the others rise without it one time alone is wrong, and it may be the one before.
     near = range(max(row - 2, 0), min(row + 2, len(time)))
-    without = {each: np.diff([time[other] for other in near if other != each]) for each in (row, row - 1)}
-    alone = next((each for each, steps in without.items() if (steps >= 0.0).all()), None)
-    if len(later) == 1 and alone is not None and len(near) > 2:
+    steps_without = {each: np.diff([time[other] for other in near if other != each]) for each in (row, row - 1)}
+    rising = [each for each, steps in steps_without.items() if (steps >= 0.0).all()]
+    if len(later) == 1 and rising and len(near) > 2:
+        alone = min(rising, key=lambda each: steps_without[each].max())
         raise _fault("table_file.wrong_time", source, rows[alone], value=time[alone])
     key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"
     raise _fault(key, source, rows[row], before=time[row - 1], after=time[row], example=",".join(FIELDS[: source.width]))

@@ -1,4 +1,4 @@
-"""Read numbers from text files: CSV or columns separated by blanks, with or without a header, also packed by gzip.
+"""Read numbers from text files: CSV or columns separated by blanks or bars, with or without a header, also packed by gzip.
 
 A file is read in blocks of whole lines. Where they are alike, their digits are added up at once; else NumPy's C parser turns
 them into numbers (4 million a second). Single lines are examined only to name the one that is wrong.
@@ -63,7 +63,7 @@ class TextTable:
     lines_before : int
         Lines before the first row.
     decimal_comma : bool
-        Numbers are written 1,5 and cells separated by semicolons.
+        Numbers are written 1,5 and cells separated by semicolons or bars.
     head : tuple of tuple of str
         The cells of the first rows.
     text_columns : frozenset of int
@@ -190,8 +190,9 @@ class TextTable:
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
-        for _ in read_pieces(self.path, BLOCK_BYTES):
-            pass  # Where the packing is damaged, it is what is wrong with the line, and is told at its end.
+        # Damaged gzip gives wrong lines first; its checksum, at the end, is what tells the fault.
+        for _ in read_pieces(self.path, BLOCK_BYTES) if _is_packed(self.path) else ():
+            pass
         if max(columns) >= self.width:
             told = {"width": self.width, "named": len(self.header or ()), "line": lines_before + 1}
             return _bad("table_text.narrow_rows", self.path, **told)
@@ -244,8 +245,9 @@ def open_table(path: str | Path) -> TextTable:
     sound = texts[first : max(len(texts) - 1, first + 1)][:ROWS_LOOKED_AT]
     head_rows = tuple(tuple(_first_cells(row.replace(",", ".") if decimal_comma else row, delimiter)) for _, row in sound)
     cells = _first_cells(line, delimiter)
-    if len(head_rows) > 2 and len(below := {*map(len, head_rows[1:])}) == 1 and len(cells) < min(below):
-        cells = [*head_rows[1]]  # What the first row lacks is told when it is read.
+    below = [_first_cells(row.split("#", 1)[0], delimiter) for _, row in sound[1:]]
+    if len(below) > 1 and len({*map(len, below)}) == 1 and len(cells) < len(below[0]):
+        cells = below[0]  # Reading reports the short first row.
     header, units = _header(path, names, comments, delimiter=delimiter, width=len(cells))
     if header is not None and len(header) < len(cells):
         # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
@@ -406,6 +408,11 @@ def _line_blocks(path: Path) -> Iterator[bytes]:
             raise _bad("table_text.long_line", path, limit=LINE_LIMIT_BYTES)
     if rest:
         yield rest
+
+
+def _is_packed(path: Path) -> bool:
+    with open_to_read(path) as raw:
+        return raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
 
 
 def read_pieces(path: Path, size: int) -> Iterator[bytes]:

@@ -7,6 +7,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.beside import Beside
+from imufield.acquire.background_work import BackgroundWork
 from imufield.acquire.formats.table_arrays import ArrayTable
 from imufield.acquire.formats.table_columns import (
     COUNTER,
@@ -194,15 +195,16 @@ def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str |
     if len(parts) != len(paths):
         raise UsageError(sentence("tables.other_number", found=len(parts), files=len(paths), columns=columns))
     sources = [open_source(Path(path), topic) for path in paths]
-    # Of files with a heading, the quantities that are there twice are told.
+    # With headings, a quantity given twice is refused later.
     headless = [source.path.resolve() for source in sources if source.header is None and columns is None]
     if twice := [path for path in headless if headless.count(path) > 1]:
         raise UsageError(sentence("tables.same_file", path=twice[0]))
     told = enumerate(zip(sources, parts, strict=True))
     meanings = [meaning_of(source, names, number, len(paths)) for number, (source, names) in told]
-    reads = [Beside(partial(source.read, meaning.places)) for source, meaning in zip(sources, meanings, strict=True)]
-    values = (read.result() for read in reads)
-    files = [file for found in zip(sources, meanings, values, strict=True) for file in files_of(*found)]
+    known, at_once, files = [*zip(sources, meanings, strict=True)], os.cpu_count() or 1, list[File]()
+    for group in (known[first : first + at_once] for first in range(0, len(known), at_once)):
+        reads = [BackgroundWork(partial(source.read, meaning.places)) for source, meaning in group]
+        files += [file for of, read in zip(group, reads, strict=True) for file in files_of(*of, read.result())]
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))

@@ -80,6 +80,8 @@ class Recorder:
         Stamps the events; the system's clock by default.
     remedy : str
         What the person can do when it can be written again; what was written is safe.
+    first : sequence of bytes
+        Of chunks that were ``packed`` beforehand.
 
     Raises
     ------
@@ -88,12 +90,18 @@ class Recorder:
     """
 
     def __init__(
-        self, path: str | Path, metadata: Mapping[str, object], *, clock: HostClock | None = None, remedy: str = ""
+        self,
+        path: str | Path,
+        metadata: Mapping[str, object],
+        *,
+        clock: HostClock | None = None,
+        remedy: str = "",
+        first: Sequence[bytes] = (),
     ) -> None:
         self.path = Path(path)
         self._clock = clock or SystemClock()
         self._remedy = remedy
-        self._file = _create(self.path, start_of_part(metadata), remedy)
+        self._file = _create(self.path, [start_of_part(metadata), *first], remedy)
         # Entered itself: a condition is entered by Python code, where an interrupt could leave the lock held for ever.
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
@@ -115,16 +123,6 @@ class Recorder:
             If something recorded before could not be written: disk full, file deleted, disk failing.
         """
         self._append(link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(self._sequence)))
-
-    def write_packed(self, blocks: Sequence[bytes]) -> None:
-        """Record what ``packed`` made, in front of all else; raises as ``write_chunk``."""
-        with self._lock:
-            try:
-                for block in blocks:
-                    _write_all(self._file, block)
-            except OSError as error:
-                self._failure = _cannot_write(self.path, error, self._remedy)
-                self._tell()
 
     def write_event(self, event: Mapping[str, object]) -> None:
         """Record a guide event, an operator's mark or a fault of the link, stamped now.
@@ -221,20 +219,21 @@ class Recorder:
 
 
 def packed(chunks: Iterable[Chunk]) -> list[bytes]:
-    """Return chunks packed, which takes longer than all else that writing them does, and needs no file."""
+    """Return chunks packed, which takes longer than to write them, and needs no file."""
     sequence = count()
     messages = (link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(sequence)) for chunk in chunks)
     return [chunk_record(block) for block in _blocks(messages)]
 
 
-def _create(path: Path, content: bytes, remedy: str) -> int:
+def _create(path: Path, content: Sequence[bytes], remedy: str) -> int:
     """Create a file that does not exist yet, make it durable and return its descriptor."""
     try:
         file = open_regular(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, follow=False)
     except OSError as error:
         raise _cannot_write(path, error, remedy) from error
     try:
-        _write_all(file, content)
+        for data in content:
+            _write_all(file, data)
         os.fsync(file)
         sync_folder(path.parent)
     except OSError as error:

@@ -22,7 +22,7 @@ from imufield.calibrate.model.result import (
 )
 from imufield.calibrate.model.rotation import exponential, rotate
 from imufield.calibrate.moves.moves import Moves
-from imufield.calibrate.moves.slots import SHORTEST_SLOT_S
+from imufield.calibrate.moves.slots import SHORTEST_SLOT_S, Slots
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median
@@ -40,7 +40,7 @@ _CONSTANT = 1e-9
 _NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
-# Of 10 ms: a hand makes a tenth of it, and instruments that are moved by hand end below.
+# Means of a slot, 5 ms or one sample: ten times what a hand makes, and beyond the usual ranges of 16 g and 2000 deg/s.
 _LARGEST_FORCE_M_S2 = 500.0
 _FASTEST_DEG_S = 4500.0
 _MOST_DAMAGED = 0.25  # Share of the moves.
@@ -123,17 +123,16 @@ def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
     moves, why = given.moves, list[Sentence]()
     if not len(moves):
         return given
-    duration_s = np.maximum(moves.slots.duration_s, SHORTEST_SLOT_S)[:, None]
     shown = {"accelerometer": (_force_of_slots(given), _LARGEST_FORCE_M_S2, "m/s^2")}
     if (preset := given.preset_inverse()) is not None:
-        rate_raw = moves.slots.turn / duration_s - given.rest_raw
+        rate_raw = _means(moves.slots, moves.slots.turn) - given.rest_raw
         shown["gyroscope"] = np.degrees(rate_raw @ preset.T), _FASTEST_DEG_S, "deg/s"
     out = np.zeros(len(moves), dtype=np.bool_)
     for triad, (values, limit, unit) in shown.items():
-        largest = np.maximum.reduceat(np.linalg.norm(values, axis=1), moves.first)
+        largest = np.fmax.reduceat(np.linalg.norm(values, axis=1), moves.first)
         beyond = np.flatnonzero(largest > limit)
-        # So many are no damage: the unit is another, which is told elsewhere.
-        beyond = beyond if len(beyond) <= _MOST_DAMAGED * len(moves) else beyond[:0]
+        # More are no damage: the unit is another, which is told elsewhere.
+        beyond = beyond if len(beyond) <= max(1, _MOST_DAMAGED * len(moves)) < len(moves) else beyond[:0]
         out[beyond] = True
         for k in beyond:
             told = {"triad": triad, "found": largest[k], "limit": limit, "unit": unit}
@@ -166,11 +165,14 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     )
 
 
+def _means(slots: Slots, sums: FloatArray) -> FloatArray:
+    return np.asarray(sums / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None])
+
+
 def _force_of_slots(given: GyroscopeInput) -> FloatArray:
     """Return the specific force of the slot means of the moves, no quadratic term, shape (k, 3): enough for g-sensitivity."""
     parameters, slots = given.calibration.accelerometer, given.moves.slots
-    mean_raw = slots.force / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
-    s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
+    s = (_means(slots, slots.force) - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
     return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)
 
 

@@ -261,9 +261,9 @@ def misfits_rad(
     turned = exponential(turns_raw / scales[:, None, None, None])
     # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
     mirrored, misfits = np.linalg.det(permutations) < 0, np.empty((len(scales), len(permutations)))
-    for hand in {*mirrored.tolist()}:
-        alike = mirrored == hand
-        back = matrix(conjugate(total_turn(conjugate(turned) if hand else turned)))
+    for is_mirrored in {*mirrored.tolist()}:
+        alike = mirrored == is_mirrored
+        back = matrix(conjugate(total_turn(conjugate(turned) if is_mirrored else turned)))
         start, end = (np.einsum("pji,mj->mip", permutations[alike], each) for each in (before, after))
         chord = np.linalg.norm(back @ start - end, axis=-2)
         misfits[:, alike] = np.sqrt(np.mean((2 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2, axis=1))

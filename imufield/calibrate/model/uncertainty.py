@@ -29,7 +29,7 @@ SPARE_POSITIONS = 4
 
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
-_SMALL = 32  # Rows of a triangle up to which it is inverted as it is.
+_LARGEST_DIRECT_ROWS = 32  # Of a triangle that is inverted as it is.
 
 
 def rms(values: FloatArray) -> float:
@@ -185,8 +185,8 @@ def inverse_root(covariance: FloatArray) -> FloatArray:
 
 
 def _triangle_inverse(L: FloatArray) -> FloatArray:
-    # By halves: NumPy inverts a triangle as it does every matrix, in four times the time.
-    if len(L) <= _SMALL:
+    # By halves: NumPy inverts a triangle as it does every matrix, in about three times the time.
+    if len(L) <= _LARGEST_DIRECT_ROWS:
         return np.asarray(np.linalg.inv(L), dtype=np.float64)
     inverse, half = np.zeros_like(L), len(L) // 2
     upper = inverse[:half, :half] = _triangle_inverse(L[:half, :half])

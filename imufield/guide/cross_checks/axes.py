@@ -247,7 +247,7 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     else:
         differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
         kind = refusals.AXES_OPEN if agrees is None else differ
-        # The same of the accelerometer, by the fewer changes: mirrored, too, it turns alike.
+        # The same correction on the accelerometer: P^T and -P^T turn alike; named is the one that changes fewer axes.
         own = axes_words(permutation.T if np.trace(permutation) >= 0 else -permutation.T)
         told = {"axes": axes_words(permutation), "accelerometer": own}
         refusal = kind.refusal(given, GOOD_DEG, best=best, second=second, **told)

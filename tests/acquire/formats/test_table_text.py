@@ -157,3 +157,16 @@ def test_a_row_of_another_width_is_quoted_as_it_stands_in_the_file(tmp_path: Pat
     with refused(RecordingError, Reason.BAD_DATA, key="table_text.other_width") as caught:
         read_tables([path])
     assert caught.value.values["text"] == lines[7]
+
+
+@pytest.mark.parametrize(("text", "delimiter"), [("a|b", ","), ("on|off", None)])
+def test_a_bar_in_a_text_parts_nothing(tmp_path: Path, text: str, delimiter: str | None) -> None:
+    lines = [f"{line}{delimiter or ' '}{text}" for line in lines_of(delimiter or " ")]
+    table = open_table(written(tmp_path / "table.txt", "\n".join(lines) + "\n"))
+    assert (table.delimiter, table.width) == (delimiter, 5)
+    np.testing.assert_array_equal(table.read(range(4)), ROWS)
+
+
+def test_rows_whose_first_has_no_comment(tmp_path: Path) -> None:
+    lines = [line + (" # ok" if number else "") for number, line in enumerate(lines_of(" "))]
+    np.testing.assert_array_equal(open_table(written(tmp_path / "table.txt", "\n".join(lines) + "\n")).read(range(4)), ROWS)

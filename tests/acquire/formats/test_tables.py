@@ -239,6 +239,7 @@ def test_a_damaged_packing_is_told_before_the_lines_that_it_damaged(tmp_path: Pa
         (9, "7.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 7.01}),
         (1, "7.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 7.01}),
         (50, "0.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 0.01}),
+        (49, "7.01 1.0 2.0 9.8", "table_file.wrong_time", {"value": 7.01}),
         (1, "0.00 1.0 9.8", "table_text.other_width", {"found": 3, "width": 4}),
         (50, "0.49 1.0 --- 9.8", "table_text.no_number", {"text": "---"}),
     ],

@@ -54,8 +54,7 @@ def test_chunks_and_events_come_back_in_order(tmp_path: Path) -> None:
 
 def test_what_was_packed_beforehand_is_read_as_what_was_written(tmp_path: Path) -> None:
     chunks = [numbered(number, 300_000) for number in range(20)]
-    with Recorder(tmp_path / "packed.mcap", {}) as recorder:
-        recorder.write_packed(packed(chunks))
+    with Recorder(tmp_path / "packed.mcap", {}, first=packed(chunks)) as recorder:
         recorder.write_chunk(numbered(20))
     damage: list[Damage] = []
     assert [item for item in read_part(tmp_path / "packed.mcap", damage) if isinstance(item, Chunk)] == [*chunks, numbered(20)]

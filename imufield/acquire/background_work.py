@@ -1,6 +1,6 @@
-"""Something done beside what goes on: worth it where it leaves the interpreter to others, as reading, hashing and packing do.
+"""Work in a background thread; it gains time only where the work releases the interpreter (reading, hashing, packing).
 
-``concurrent.futures`` does the same; to import it takes as long as what is done here beside a short command.
+``concurrent.futures`` does the same; to import it takes as long as what is done here in a short command.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Generic, TypeVar
 Result = TypeVar("Result")
 
 
-class Beside(Generic[Result]):
-    """What ``work`` returns, which is begun at once in a thread of its own; a program that ends does not wait for it."""
+class BackgroundWork(Generic[Result]):
+    """What ``work`` returns; it begins at once, and a program that ends does not wait for it."""
 
     def __init__(self, work: Callable[[], Result]) -> None:
         self._found: list[Result] = []
