@@ -9,13 +9,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imufield.acquire.background_work import BackgroundWork
-from imufield.acquire.clock.sample_clock import LARGEST_RATE_ERROR
-from imufield.acquire.decode.statistics import remarks, without_samples
-from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.can_log_heads import begins_as_can_log
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
@@ -27,7 +25,6 @@ from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder, packed, part_metadata, protocol_tables
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
-from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.options.configuration import parse_zero
 from imufield.commands.terminal.output import echo, say_each
@@ -39,6 +36,10 @@ from imufield.pipeline.still_units import settings_of_stills, with_units_of_stil
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples, require_possible_degc
 from imufield.sentences import Sentence, Sentences, printable, shell_word
+
+if TYPE_CHECKING:
+    from imufield.acquire.decoder import Decoder
+    from imufield.acquire.driver import Driver
 
 sentence = Sentences(__package__)
 
@@ -96,7 +97,16 @@ def _protocol(options: ImportOptions) -> Protocol | None:
         return protocol_from_dbc(options.dbc, options.mapping, options.settings)
     if options.protocol is not None:
         return load_protocol(options.protocol, _with_rate(options))
-    return None if options.driver is None else load_driver(options.driver).load_protocol(_with_rate(options))
+    driver = _driver(options)
+    return None if driver is None else driver.load_protocol(_with_rate(options))
+
+
+def _driver(options: ImportOptions) -> type[Driver] | None:
+    if options.driver is None:
+        return None
+    from imufield.acquire.registry import load_driver
+
+    return load_driver(options.driver)
 
 
 def _with_rate(options: ImportOptions) -> dict[str, object]:
@@ -169,7 +179,9 @@ def _imported(samples: int, duration_s: float, units: dict[str, str]) -> Sentenc
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the bytes of a dump or the frames of logs into a recording as they are."""
-    # With all that listens to ports, of which a table knows nothing.
+    # With all that decodes and listens to ports, of which a table knows nothing.
+    from imufield.acquire.decode.statistics import remarks, without_samples
+    from imufield.acquire.decoder import Decoder
     from imufield.acquire.instrument.connected import assumed, with_settings
     from imufield.acquire.instrument.text_columns import other_lines, read_lines
 
@@ -179,7 +191,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
     blocks = _with_possible_temperatures(_samples(options, decoder, losses, times_s), options.files)
     scales = find_scales(blocks, protocol.nominal.raw_zero)
-    driver = None if options.driver is None else load_driver(options.driver)
+    driver = _driver(options)
     told = with_settings(driver, protocol, decoder.messages())
     if told.settings != protocol.settings:
         # Messages among the samples say how the instrument is set.
@@ -222,6 +234,8 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
 
 def _other_rate(rate_hz: float | None, protocol: Protocol) -> tuple[Sentence, ...]:
     """Say that the time stamps of a log show another rate than its protocol states, where they do."""
+    from imufield.acquire.clock.sample_clock import LARGEST_RATE_ERROR
+
     setting, stated_hz = protocol.settings.get("rate_hz"), protocol.clock.rate_hz
     is_stated = setting is None or setting.origin != "assumed"
     if not (is_stated and stated_hz and rate_hz) or abs(rate_hz / stated_hz - 1) <= LARGEST_RATE_ERROR:

@@ -6,7 +6,6 @@ import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.tables import ROWS_PROTOCOL, row_chunks, stream_table
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import Reason, RecordingError, UsageError
@@ -19,6 +18,8 @@ sentence = Sentences(__package__)
 
 def table_samples(path: Path, rate_hz: float | None, assumptions: list[str]) -> Iterator[Samples]:
     """Yield the samples of a table, e.g. an exported CSV, block by block; ``assumptions`` receives what was assumed of it."""
+    from imufield.acquire.decoder import Decoder  # An import of a table asks for what is below alone.
+
     refuse_endless([path])
     decoder: Decoder | None = None
     # The way of an import, through rows and the decoder: a table gives the same numbers imported or not.
