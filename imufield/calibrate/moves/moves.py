@@ -131,8 +131,8 @@ class MoveCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        # A specific force may be missing, but one that no instrument has sent would be summed up.
-        sound = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT) & ~(np.abs(samples.accelerometer) > LARGEST_OUTPUT)
+        # What is missing, or no instrument has sent, would be summed up: such a sample is a lost one.
+        sound = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT) & (np.abs(samples.accelerometer) <= LARGEST_OUTPUT)
         samples = samples if every(sound) else samples[np.flatnonzero(sound.all(axis=1))]
         if not len(samples):
             return

@@ -325,9 +325,10 @@ def test_invalid_and_missing_samples() -> None:
     assert len(moves) == 0
 
 
-def test_a_specific_force_that_nothing_has_sent_is_a_lost_sample() -> None:
+@pytest.mark.parametrize("nothing", [1e300, np.nan])
+def test_a_specific_force_that_nothing_has_sent_is_a_lost_sample(nothing: float) -> None:
     samples = session()
-    samples.accelerometer[2500] = [0.1, 1e300, 9.8]
+    samples.accelerometer[2500] = [0.1, nothing, 9.8]
     moves = collect_moves([samples], START_S, DURATION_S)
     assert len(moves) == 2
     assert np.abs(moves.slots.force / moves.slots.duration_s[:, None]).max() < 10
