@@ -37,6 +37,7 @@ Source = TextTable | ArrayTable
 _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
     GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
 )
+_FEW_STEPS_BACK = 0.1  # Share of the rows.
 _LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
 
 
@@ -238,11 +239,12 @@ def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[
     if time is None or not len(later := np.flatnonzero(np.diff(time) < 0.0) + 1):
         return
     row = int(later[0])
-    # Where the others rise without it one time alone is wrong, and it may be the one before.
+    # Where those around it rise without it one time alone is wrong, and it may be the one before.
     near = range(max(row - 2, 0), min(row + 2, len(time)))
     steps_without = {each: np.diff([time[other] for other in near if other != each]) for each in (row, row - 1)}
     rising = [each for each, steps in steps_without.items() if (steps >= 0.0).all()]
-    if len(later) == 1 and rising and len(near) > 2:
+    # Of rows in no order nearly every second one steps back.
+    if len(later) <= _FEW_STEPS_BACK * len(time) and rising and len(near) > 2:
         alone = min(rising, key=lambda each: steps_without[each].max())
         raise _fault("table_file.wrong_time", source, rows[alone], value=time[alone])
     key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"

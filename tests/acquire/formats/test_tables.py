@@ -264,6 +264,15 @@ def test_a_bad_line_is_named(
     assert caught.value.values["line"] == line
 
 
+def test_of_several_wrong_times_the_first_is_named(tmp_path: Path) -> None:
+    time = TIME.copy()
+    time[[8, 29]] = 7.01, 0.01
+    path = write(tmp_path, text_of(time, ACCELEROMETER))
+    with refused(RecordingError, Reason.BAD_DATA, "in line 9", key="table_file.wrong_time") as caught:
+        read_tables([path])
+    assert caught.value.values["value"] == 7.01
+
+
 @pytest.mark.parametrize(("header", "key"), [("", "table_file.guessed_time_back"), ("time ax ay az\n", "table_file.time_back")])
 def test_a_clock_that_began_anew_is_told_with_both_times(tmp_path: Path, header: str, key: str) -> None:
     path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - 0.1), ACCELEROMETER, header=header))
