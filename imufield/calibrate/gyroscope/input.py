@@ -137,7 +137,11 @@ def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
         for k in beyond:
             told = {"triad": triad, "found": largest[k], "limit": limit, "unit": unit}
             why.append(sentence("input.impossible", begin_s=moves.start_s[k], end_s=moves.end_s[k], **told))
-    return replace(given, moves=moves.without(out, why)) if why else given
+    if not why:
+        return given
+    left_out = list(zip(moves.start_s[out], moves.end_s[out], strict=True))
+    stops = [stop for stop in given.stops if not any(begin_s <= stop.time_s <= end_s for begin_s, end_s in left_out)]
+    return replace(given, moves=moves.without(out, why), stops=stops)
 
 
 def make_data(given: GyroscopeInput) -> GyroscopeData:
