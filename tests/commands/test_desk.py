@@ -356,11 +356,17 @@ def test_a_demo_that_is_faster_than_the_machine_says_so(
     assert not missing(capsys.readouterr().err, "--speed", "smaller")
 
 
-def test_a_demo_whose_instrument_ends_does_not_wait_for_it(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_demo_whose_instrument_ends_does_not_wait_for_it(
+    program: Program, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     # At no more than real time: a busy machine would be told that it is too slow.
     monkeypatch.setattr(emulated, "LONGEST_S", 8.0)
     with refused(LinkError, key="emulated.ended"):
         demo.run_demo(DemoOptions(speed=1.0, plain=True, root=program.folder))
+    # Its session cannot go on.
+    told = capsys.readouterr().out
+    assert not missing(told, "imufield demo")
+    assert "--resume" not in told
 
 
 def test_the_instrument_of_a_demo_has_a_name_that_goes_with_it(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Captu
         stack.callback(connected.close)
         session = new_session(how, connected, how.site)
         stack.enter_context(session.lock())
-        return guided_session(session, connected, clock, how, check=check)
+        return guided_session(session, connected, clock, how, check=check, again="imufield demo")
 
 
 @contextmanager

@@ -174,11 +174,12 @@ def guided_session(
     *,
     place: PageAddress | None = None,
     check: Callable[[], None] = lambda: None,
+    again: str = "",
 ) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on.
 
     The page is served at ``place``, where one is wanted. ``check`` is called again and again, and may break it off by an
-    ``ImufieldError``.
+    ``ImufieldError``. ``again`` is the command that begins anew, where the instrument ends with the session.
     """
     stream = SameStream(connected.link.name, patience_s(clock, 1.0))
     collected, damage = ReadingCollector(), list[Damage]()
@@ -226,9 +227,9 @@ def guided_session(
                     page.end({"outcome": outcome, "reason": reason, "command": _next_command(ended, clock), **counts})
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
-            farewell(loop.captured(), options.view, clock)
+            farewell(loop.captured(), options.view, clock, again)
         raise
-    farewell(captured, options.view, clock)
+    farewell(captured, options.view, clock, again)
     if not damage:
         # For who solves it: all has been seen already. Where there is nothing to be calibrated from, solving says so.
         with suppress(CalibrationError):
@@ -401,7 +402,7 @@ class CaptureLoop:
             self.view.refresh(snapshot, self.connected.link.name, silent=silent, samples_lost=lost)
 
 
-def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
+def farewell(captured: Captured, view: ViewName, clock: HostClock, again: str = "") -> None:
     """Say what there is and what to type next, as it can be pasted."""
     folder = captured.session.folder
     if view == "json" or not folder.exists():
@@ -417,7 +418,10 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
     if captured.finished and captured.lacking:
         say(captured.lacking)
-    echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
+    if again and not captured.can_be_solved:
+        echo(beside("again:", again))
+    else:
+        echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
     if not (captured.can_be_solved or captured.missing):
         echo(beside("or now:", f"imufield solve {shell_word(folder)}"))
 
