@@ -18,7 +18,7 @@ from imufield.acquire.formats.can_log_heads import begins_as_can_log
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
-from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, row_chunks
+from imufield.acquire.formats.tables import NO_POSITIONS, ROWS_PROTOCOL, ImportedTable, read_tables, row_chunks
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, SystemClock
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
@@ -60,8 +60,8 @@ def run_import(options: ImportOptions) -> Session:
         return session
     say_each(assumptions, err=True, indent=2)
     echo(beside("session", session.folder))
-    # In a wrong unit, solving would fail.
-    if not any(getattr(each, "key", "") in CONTRADICTIONS for each in assumptions):
+    # In a wrong unit, or without gravity, solving would fail.
+    if not any(getattr(each, "key", "") in CONTRADICTIONS | NO_POSITIONS for each in assumptions):
         echo(beside("next: ", f"imufield solve {shell_word(session.folder)}"))
     return session
 

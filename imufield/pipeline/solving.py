@@ -312,7 +312,8 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     if len(found.observations) == 1 and not found.refused:
         has_gyroscope = np.isfinite(found.observations.gyroscope_mean_raw).all()
         key = "solving.one_rest" if has_gyroscope else "solving.one_rest_in_hand"
-        raise CalibrationError(sentence(key, name=session.name, limit=FEWEST_FOR_SCALE_AND_BIAS), Reason.TOO_FEW)
+        values = {"name": session.name, "folder": session.folder, "limit": FEWEST_FOR_SCALE_AND_BIAS}
+        raise CalibrationError(sentence(key, **values), Reason.TOO_FEW)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
@@ -345,7 +346,7 @@ def _as_imported(chain: Chain, session: Session, refusals: list[Refusal]) -> lis
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
     """Say of a ramp of temperature what it is good for: a person needs that more than why none of its stills counts."""
     if chain.protocol is not None and is_ramp(session, chain.raw_zero(chain.protocol)[:3]):
-        values = {"name": session.name, "limit": FEWEST_FOR_SCALE_AND_BIAS}
+        values = {"name": session.name, "folder": session.folder, "limit": FEWEST_FOR_SCALE_AND_BIAS}
         raise CalibrationError(sentence("solving.one_pose", **values), Reason.TOO_FEW) from error
 
 

@@ -72,7 +72,7 @@ def warming_up(folder: Path) -> Path:
 
 
 def test_a_ramp_alone_is_refused_as_what_it_is(folders: tuple[Path, Path, Path]) -> None:
-    with refused(CalibrationError, Reason.TOO_FEW, "--temperature warm-up", key="solving.one_pose"):
+    with refused(CalibrationError, Reason.TOO_FEW, f"--temperature {folders[2]}", key="solving.one_pose"):
         solve_session(Session.open(folders[2]), SolveSettings())
 
 
@@ -80,7 +80,7 @@ def test_a_rest_alone_is_refused_with_what_it_is_good_for(tmp_path: Path) -> Non
     time_s = np.arange(0.0, 400.0, 0.01)
     outputs = np.array([0.1, 0.2, 9.8, 0, 0, 0]) + 1e-3 * np.random.default_rng(4).normal(size=(len(time_s), 6))
     rest = import_table(tmp_path, "rest", np.column_stack([time_s, outputs, np.full(len(time_s), 20.0)]))
-    with refused(CalibrationError, Reason.TOO_FEW, "imufield noise rest", "imufield verify", key="solving.one_rest"):
+    with refused(CalibrationError, Reason.TOO_FEW, f"imufield noise {rest}", "imufield verify", key="solving.one_rest"):
         solve_session(Session.open(rest), SolveSettings())
 
 

@@ -63,8 +63,12 @@ _FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
 _COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "status")), ("counter", "<i8")])
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
-# Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole.
+NO_POSITIONS = frozenset({"tables.no_accelerometer", "tables.no_gravity"})
+"""Sentences about a table in which there will be no positions."""
+# Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole, and
+# of what is none, such as volts, a smaller one is motion without gravity.
 _LEAST_GRAVITY = 0.05
+_LEAST_FRACTION = 0.25
 _INCREMENTS = {"m/s", "rad"}  # Units that say so themselves.
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
 _ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
@@ -380,6 +384,8 @@ def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:
     if not len(known):
         return [sentence("tables.no_accelerometer")]
     limit = _LEAST_GRAVITY * {"m/s^2": STANDARD_GRAVITY_M_S2, "g": 1.0, "count": 1.0}.get(unit, 0.0)
+    if unit == "count" and not np.array_equal(known, np.rint(known)):
+        limit = _LEAST_FRACTION
     with np.errstate(over="ignore"):  # in damaged files
         found = float(median(np.linalg.norm(known, axis=1)))
     return [sentence("tables.no_gravity", found=found, limit=limit, unit=unit)] if found < limit else []

@@ -340,7 +340,7 @@ def test_sample_time_fine_counts_by_the_instrument(tmp_path: Path, step: int, ti
     np.testing.assert_allclose(np.diff(rows[:, 0]), step * tick_s, rtol=1e-9)
 
 
-@pytest.mark.parametrize("unit", ["m/s^2", "g"])
+@pytest.mark.parametrize("unit", ["m/s^2", "g", "count"])
 def test_an_accelerometer_without_gravity_is_told(tmp_path: Path, unit: str) -> None:
     rng = np.random.default_rng(5)
     for gravity, is_told in ((0.0, True), (9.80665 if unit == "m/s^2" else 1.0, False)):
@@ -348,6 +348,12 @@ def test_an_accelerometer_without_gravity_is_told(tmp_path: Path, unit: str) -> 
         lines = ["time_s,ax,ay,az", *(f"{0.01 * n},{x:.5f},{y:.5f},{z:.5f}" for n, (x, y, z) in enumerate(rows))]
         table = read_tables([write(tmp_path, "\n".join(lines) + "\n")], settings={"accelerometer_unit": unit})
         assert ("tables.no_gravity" in keys(table.assumptions)) is is_told
+
+
+def test_fractions_too_small_for_gravity_are_no_counts(tmp_path: Path) -> None:
+    rows = 0.05 * np.random.default_rng(5).normal(size=(200, 3))
+    lines = ["time_s,ax,ay,az", *(f"{0.01 * n},{x:.5f},{y:.5f},{z:.5f}" for n, (x, y, z) in enumerate(rows))]
+    assert "tables.no_gravity" in keys(read_tables([write(tmp_path, "\n".join(lines) + "\n")]).assumptions)
 
 
 def test_a_gyroscope_alone_is_told(tmp_path: Path) -> None:

@@ -209,6 +209,12 @@ def test_an_accelerometer_that_shows_zero_is_no_rest(make_path: Any, scale: Roug
     assert [refusal.reason for _, refusal in found.refused] == [RefusalCode.STUCK]
 
 
+def test_a_recording_without_an_accelerometer_is_named(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 8).samples()
+    with refused(CalibrationError, Reason.TOO_FEW, key="unguided.no_accelerometer"):
+        find_still_intervals([replace(samples, accelerometer=np.full_like(samples.accelerometer, np.nan))])
+
+
 def test_an_empty_recording_is_refused() -> None:
     with refused(CalibrationError, Reason.TOO_FEW, "3 s", "m/s^2", key="unguided.never_quiet"):
         find_still_intervals([no_samples(SampleUnits())])
