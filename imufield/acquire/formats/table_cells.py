@@ -16,8 +16,8 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     outside, bare = _QUOTED.sub("", line), line.replace('"', "")
     if ";" in outside:
         return ";", "," in bare
-    # A bar may stand in a text; it parts cells where a number stands beside it.
-    if "|" in outside and any(is_number(cell.replace(",", ".")) for cell in split_cells(outside, "|") if cell):
+    # A bar may stand in a text: it parts cells where nothing else makes more numbers.
+    if "|" in outside and _numbers(bare, "|") >= max(1, *(_numbers(bare, other) for other in (",", None))):
         return "|", "," in bare
     # Between tabs a comma is a decimal one where it cannot be another.
     is_one_each = max(cell.count(",") for cell in bare.split("\t")) == 1
@@ -27,6 +27,10 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
         return ",", False
     # A tab separates even where cells are empty, but files padded with blanks and tabs are common: take both as blanks.
     return None, False
+
+
+def _numbers(line: str, delimiter: str | None) -> int:
+    return sum(is_number(cell.replace(",", ".")) for cell in split_cells(line, delimiter) if cell)
 
 
 def without_quotes(text: str, delimiter: str | None, mark: str = "_") -> str:

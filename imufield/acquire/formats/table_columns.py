@@ -237,7 +237,7 @@ def given_time_unit(settings: Mapping[str, object]) -> str | None:
     return None if unit is None else str(unit)
 
 
-def _median_step(time: FloatArray) -> float:
+def median_step(time: FloatArray) -> float:
     """Return the median of the steps that are not 0, 0 where there is none."""
     steps = np.diff(time)
     return float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
@@ -268,7 +268,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         No unit gives a plausible rate, or the typed rate contradicts the column.
     """
     # Pauses make the one longer, and bursts the other shorter.
-    steps = (_mean_step(time), _median_step(time))
+    steps = (_mean_step(time), median_step(time))
     step = steps[0]
     if unit == SAMPLE_TIME_FINE:
         # Their rates are so far apart that a step fits one of them.
@@ -331,7 +331,7 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
 
 def refuse_bursts(path: Path, time_s: FloatArray) -> None:
     """Raise ``UsageError`` if most rows follow the one before at once and the others much later: they have times of arrival."""
-    step_s, mean_s = _median_step(time_s), _mean_step(time_s)
+    step_s, mean_s = median_step(time_s), _mean_step(time_s)
     if step_s < SHORTEST_STEP_S and mean_s >= _BURST * step_s:
         told = {"limit_s": SHORTEST_STEP_S, "step_s": step_s, "rate_hz": (len(time_s) - 1) / (time_s[-1] - time_s[0])}
         raise UsageError(sentence("table_columns.bursts", path=str(path), **told))

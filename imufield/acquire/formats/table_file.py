@@ -18,6 +18,7 @@ from imufield.acquire.formats.table_columns import (
     columns_by_header,
     columns_by_user,
     in_degc,
+    median_step,
 )
 from imufield.acquire.formats.table_names import TEMPERATURE, TIME, refuse_several_instruments
 from imufield.acquire.formats.table_text import ROWS_LOOKED_AT, TextTable, open_table
@@ -38,6 +39,7 @@ _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) |
     GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
 )
 _FEW_STEPS_BACK = 0.1  # Share of the rows.
+_LEAST_ROOM = 1.5  # Usual steps between the neighbours of a wrong time; there are two where nothing else is wrong.
 _LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
 
 
@@ -242,7 +244,10 @@ def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[
     # Where those around it rise without it one time alone is wrong, and it may be the one before.
     near = range(max(row - 2, 0), min(row + 2, len(time)))
     steps_without = {each: np.diff([time[other] for other in near if other != each]) for each in (row, row - 1)}
-    rising = [each for each, steps in steps_without.items() if (steps >= 0.0).all()]
+    # A clock that was set back by a step or two leaves less room between the others than one time takes.
+    room = _LEAST_ROOM * median_step(time)
+    has_room = {each: not 0 < each < len(time) - 1 or time[each + 1] - time[each - 1] > room for each in steps_without}
+    rising = [each for each, steps in steps_without.items() if (steps >= 0.0).all() and has_room[each]]
     # Of rows in no order nearly every second one steps back.
     if len(later) <= _FEW_STEPS_BACK * len(time) and rising and len(near) > 2:
         alone = min(rising, key=lambda each: steps_without[each].max())

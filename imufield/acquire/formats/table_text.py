@@ -247,7 +247,7 @@ def open_table(path: str | Path) -> TextTable:
     cells = _first_cells(line, delimiter)
     below = [_first_cells(row.split("#", 1)[0], delimiter) for _, row in sound[1:]]
     if len(below) > 1 and len({*map(len, below)}) == 1 and len(cells) < len(below[0]):
-        cells = below[0]  # Reading reports the short first row.
+        line, cells = sound[1][1], below[0]  # Reading reports the short first row.
     header, units = _header(path, names, comments, delimiter=delimiter, width=len(cells))
     if header is not None and len(header) < len(cells):
         # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.

@@ -120,28 +120,27 @@ class GyroscopeInput:
 
 def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
     """Return the input without moves in which an output shows what no hand makes: one such sample would turn the whole fit."""
-    moves, why = given.moves, list[Sentence]()
+    moves = given.moves
     if not len(moves):
         return given
     shown = {"accelerometer": (_force_of_slots(given), _LARGEST_FORCE_M_S2, "m/s^2")}
     if (preset := given.preset_inverse()) is not None:
         rate_raw = _means(moves.slots, moves.slots.turn) - given.rest_raw
         shown["gyroscope"] = np.degrees(rate_raw @ preset.T), _FASTEST_DEG_S, "deg/s"
-    out = np.zeros(len(moves), dtype=np.bool_)
+    found, most = dict[int, Sentence](), max(1, _MOST_DAMAGED * len(moves))
     for triad, (values, limit, unit) in shown.items():
         largest = np.fmax.reduceat(np.linalg.norm(values, axis=1), moves.first)
         beyond = np.flatnonzero(largest > limit)
         # More are no damage: the unit is another, which is told elsewhere.
-        beyond = beyond if len(beyond) <= max(1, _MOST_DAMAGED * len(moves)) < len(moves) else beyond[:0]
-        out[beyond] = True
-        for k in beyond:
+        for k in beyond if len(beyond) <= most else ():
             told = {"triad": triad, "found": largest[k], "limit": limit, "unit": unit}
-            why.append(sentence("input.impossible", begin_s=moves.start_s[k], end_s=moves.end_s[k], **told))
-    if not why:
+            found.setdefault(int(k), sentence("input.impossible", begin_s=moves.start_s[k], end_s=moves.end_s[k], **told))
+    if not found or not len(found) <= most < len(moves):
         return given
+    out = np.isin(np.arange(len(moves)), [*found])
     left_out = list(zip(moves.start_s[out], moves.end_s[out], strict=True))
     stops = [stop for stop in given.stops if not any(begin_s <= stop.time_s <= end_s for begin_s, end_s in left_out)]
-    return replace(given, moves=moves.without(out, why), stops=stops)
+    return replace(given, moves=moves.without(out, [*found.values()]), stops=stops)
 
 
 def make_data(given: GyroscopeInput) -> GyroscopeData:

@@ -194,8 +194,9 @@ def arranged_inverse(moves: Moves, up: FloatArray) -> FloatArray:
     before, after, permutations = up[moves.before], up[moves.after], signed_permutations()
     needed = np.arctan2(np.linalg.norm(cross(before, after), axis=1), np.sum(before * after, axis=1)).sum()
     scales = np.linalg.norm(turns, axis=2).sum() / max(float(needed), 1e-9) / _TURNS_OF_UP
-    misfit = np.vstack([misfits_rad(turns, before, after, permutations=permutations, scales=scale[None]) for scale in scales])
-    row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
+    each = [misfits_rad(turns, before, after, permutations=permutations, scales=scale[None]) for scale in scales]
+    squares = np.array([np.sum(misfits**2, axis=(0, 1)) for misfits in each])
+    row, column = np.unravel_index(int(squares.argmin()), squares.shape)
     return np.asarray(permutations[column] / scales[row])
 
 

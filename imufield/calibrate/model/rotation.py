@@ -241,7 +241,7 @@ def signed_permutations() -> FloatArray:
 def misfits_rad(
     turns_raw: FloatArray, before: FloatArray, after: FloatArray, *, permutations: FloatArray, scales: FloatArray
 ) -> FloatArray:
-    """Return how far directions fixed in the room end from where they are after turns: RMS angle over the m moves.
+    """Return how far directions fixed in the room end from where they are after turns, in each of the m moves.
 
     Parameters
     ----------
@@ -256,15 +256,15 @@ def misfits_rad(
 
     Returns
     -------
-    ndarray, shape (n, p)
+    ndarray, shape (n, m, p)
     """
     turned = exponential(turns_raw / scales[:, None, None, None])
     # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
-    mirrored, misfits = np.linalg.det(permutations) < 0, np.empty((len(scales), len(permutations)))
+    mirrored, misfits = np.linalg.det(permutations) < 0, np.empty((len(scales), len(before), len(permutations)))
     for is_mirrored in {*mirrored.tolist()}:
         alike = mirrored == is_mirrored
         back = matrix(conjugate(total_turn(conjugate(turned) if is_mirrored else turned)))
         start, end = (np.einsum("pji,mj->mip", permutations[alike], each) for each in (before, after))
         chord = np.linalg.norm(back @ start - end, axis=-2)
-        misfits[:, alike] = np.sqrt(np.mean((2 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2, axis=1))
+        misfits[..., alike] = 2 * np.arcsin(np.minimum(chord / 2, 1.0))
     return misfits

@@ -44,6 +44,7 @@ _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
 GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
 _MARGIN = 3.0  # The right permutation must fit better than any other by this factor.
 _LONGEST_MOVE_CELLS = 600  # A minute: over a longer one the gyroscope drifts, and it is more than one move.
+_ONE_MAY_BE_DAMAGED = 10  # Moves: with fewer, the only one about an axis may be the worst.
 _MOVES_KEPT = 24  # As many as a scheme has positions; the search costs in proportion.
 _SCALES = 25  # Steps of each of the two searches for a scale: the second resolves 1 %.
 _SAME_FACTOR = 0.1  # Of a logarithm: an uncalibrated scale is off by less.
@@ -264,13 +265,19 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
 
 
 def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the RMS angle between predicted and measured up for each scale and permutation, rad, shape (n, 48)."""
+    """Return the RMS angle between predicted and measured up for each scale and permutation, rad, shape (n, 48).
+
+    Of many moves the worst does not count: one damaged sample would speak against axes that all others bear out.
+    """
     # Filled up with cells that turn about nothing, all moves are one array.
     rates = np.zeros((len(moves), max(len(move.rate_raw) for move in moves), 3))
     for row, move in zip(rates, moves, strict=True):
         row[: len(move.rate_raw)] = move.rate_raw
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
-    return misfits_rad(rates * CELL_S, before, after, permutations=permutations, scales=scales)
+    squares = misfits_rad(rates * CELL_S, before, after, permutations=permutations, scales=scales) ** 2
+    if len(moves) < _ONE_MAY_BE_DAMAGED:
+        return np.sqrt(squares.mean(axis=1))
+    return np.sqrt((squares.sum(axis=1) - squares.max(axis=1)) / (len(moves) - 1))
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:

@@ -159,11 +159,19 @@ def test_a_row_of_another_width_is_quoted_as_it_stands_in_the_file(tmp_path: Pat
     assert caught.value.values["text"] == lines[7]
 
 
-@pytest.mark.parametrize(("text", "delimiter"), [("a|b", ","), ("on|off", None)])
+@pytest.mark.parametrize(
+    ("text", "delimiter"), [("a|b", ","), ("on|off", None), ("A|3", ","), ("3|x", None), ("2023|01|02", ",")]
+)
 def test_a_bar_in_a_text_parts_nothing(tmp_path: Path, text: str, delimiter: str | None) -> None:
     lines = [f"{line}{delimiter or ' '}{text}" for line in lines_of(delimiter or " ")]
     table = open_table(written(tmp_path / "table.txt", "\n".join(lines) + "\n"))
     assert (table.delimiter, table.width) == (delimiter, 5)
+    np.testing.assert_array_equal(table.read(range(4)), ROWS)
+
+
+def test_bars_part_cells_in_quotes(tmp_path: Path) -> None:
+    lines = ["|".join(f'"{cell}"' for cell in line.split(",")) for line in lines_of(",")]
+    table = open_table(written(tmp_path / "table.txt", "\n".join(lines) + "\n"))
     np.testing.assert_array_equal(table.read(range(4)), ROWS)
 
 

@@ -281,6 +281,13 @@ def test_a_clock_that_began_anew_is_told_with_both_times(tmp_path: Path, header:
     assert {"before": 0.19, "after": 0.1, "line": 21 + len(header.splitlines())}.items() <= caught.value.values.items()
 
 
+@pytest.mark.parametrize("back_s", [0.011, 0.015, 0.0199])
+def test_a_clock_that_was_set_back_by_a_step_or_two_makes_no_time_wrong(tmp_path: Path, back_s: float) -> None:
+    path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - back_s), ACCELEROMETER, header="time ax ay az\n"))
+    with refused(RecordingError, Reason.BAD_DATA, "in line 22", key="table_file.time_back"):
+        read_tables([path])
+
+
 def test_a_file_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER))
     with refused(UsageError, Reason.USAGE, str(path), key="tables.same_file"):
@@ -292,6 +299,13 @@ def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
     with refused(RecordingError, Reason.BAD_DATA, "4 columns", key="table_text.narrow_rows") as caught:
         read_tables([path])
     assert {"line": 2, "named": 7}.items() <= caught.value.values.items()
+
+
+def test_a_short_first_row_is_named_where_rows_end_with_a_delimiter(tmp_path: Path) -> None:
+    rows = [f"{0.01 * number:g},0,0,9.8," for number in range(9)]
+    path = write(tmp_path, "\n".join(["time,ax,ay,az", "0,0,9.8", *rows[1:]]))
+    with refused(RecordingError, Reason.BAD_DATA, "line 2", key="table_text.other_width"):
+        read_tables([path])
 
 
 @pytest.mark.parametrize("bad", ["0.02,0,0,9.8", "0.02,0,0,9.8,5,6", "0.02,0,0,9.8,5,6,7,8"])

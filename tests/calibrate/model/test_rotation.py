@@ -112,4 +112,4 @@ def test_misfits_are_those_of_each_arrangement_and_scale() -> None:
         for column, P in enumerate(permutations):
             carried = matrix(total_turn(exponential(turns @ P.T / scale))).transpose(0, 2, 1) @ before[:, :, None]
             angle = np.arccos(np.sum(carried[:, :, 0] * after, axis=1))
-            assert found[row, column] == pytest.approx(np.sqrt(np.mean(angle**2)))
+            assert found[row, :, column] == pytest.approx(angle)
