@@ -195,14 +195,22 @@ sys.argv[1:] = ["devices", "--nonsense"]
     assert (ended.returncode, (tmp_path / "written").read_text()) == (2, written)
 
 
-def test_a_script_that_goes_on_ends_as_it_says(tmp_path: Path) -> None:
-    code = """
-import contextlib, sys
-from imufield.cli import main
+@pytest.mark.parametrize(
+    "call",
+    [
+        "imufield.cli.main()",
+        "runpy.run_module('imufield', run_name='__main__')",
+        "runpy.run_module('imufield', run_name='__main__', alter_sys=True)",
+    ],
+)
+def test_a_script_that_goes_on_ends_as_it_says(tmp_path: Path, call: str) -> None:
+    code = f"""
+import contextlib, runpy, sys
+import imufield.cli
 
 sys.argv[1:] = ["devices", "--nonsense"]
 with contextlib.suppress(SystemExit):
-    main()
+    {call}
 never_closed = open("written", "w")
 never_closed.write("all of it")
 sys.exit(5)

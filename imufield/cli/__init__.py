@@ -78,7 +78,8 @@ def _leave_at_once(left: list[int]) -> None:
     with suppress(OSError, ValueError):
         sys.stdout.flush()
         sys.stderr.flush()
-        if left:
+        # Whoever runs the module inside a script may have gone on behind it.
+        if left and getattr(sys.modules["__main__"], "program", None) is program:
             os._exit(left[0])
 
 
