@@ -70,6 +70,21 @@ def test_titles_stand_above_the_names(tmp_path: Path, above: list[str], delimite
     assert caught.value.values["line"] == line
 
 
+def test_a_mark_of_utf_8_in_front_of_rows_alone_is_no_part_of_them(tmp_path: Path) -> None:
+    path = written(tmp_path / "table.csv", "\n".join([*lines_of(), ""]), "utf-8-sig")
+    assert np.array_equal(read_tables([path]).rows[:, :4], ROWS)
+
+
+@pytest.mark.parametrize("comment", ["", " # one value lost", " # lost, one"])
+def test_a_row_that_lost_a_cell_is_no_shifted_one(tmp_path: Path, comment: str) -> None:
+    lines = [f"{line},7" for line in lines_of()]
+    lines[3] = lines[3].replace(lines[3].split(",")[1] + ",", "", 1) + comment
+    path = written(tmp_path / "table.csv", "\n".join(["time_s,ax,ay,az,mag_x", *lines, ""]))
+    with refused(RecordingError, Reason.BAD_DATA, key="table_text.other_width") as caught:
+        read_tables([path])
+    assert (caught.value.values["line"], caught.value.values["found"]) == (5, 4)
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_a_damaged_text_of_two_bytes_is_refused(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "table.csv"
