@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from imufield.acquire.formats.table_names import (
     stamp_of_measurement,
 )
 from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import (
     ACCELEROMETER_COLUMNS,
@@ -43,6 +44,8 @@ STATUS = "status"
 """Flags of imufield itself, beside the other columns; known in exports of its own only, since others' mean other things."""
 COUNTER = "counter"
 """What the instrument numbered its samples by; known in exports of our own only, whose flags tell of every gap."""
+FRACTION = "fraction"
+"""What has passed of the second in the column of the time, in a unit of its own."""
 SKIPPED = ("-", "_", "skip")
 _NAMED_AT_ONCE = 12  # Columns that a sentence lists: as many as a person looks through.
 _EXAMPLE = "time_ms,ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps"  # A unit goes into a name.
@@ -141,9 +144,9 @@ def columns_by_header(
     *,
     width: int,
     text_columns: Collection[int],
-    no_clocks: Collection[int],
+    rows: Sequence[Sequence[str]],
 ) -> Meaning:
-    """Understand a header above rows of ``width`` cells; ``text_columns`` have no numbers, ``no_clocks`` repeat or have gaps.
+    """Understand a header above rows of ``width`` cells, the first of which are given; ``text_columns`` have no numbers.
 
     Raises
     ------
@@ -157,8 +160,10 @@ def columns_by_header(
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     of_axes = quantity_of_file(path)
     found = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    named = [column for column in found if column is not None]
+    named, no_clocks = [column for column in found if column is not None], _no_clocks(rows, width)
     chosen = one_of_each(named, header, text_columns, no_clocks)
+    if split := _split_time(found, rows):
+        chosen = sorted([*split, *(column for column in chosen if column.field != TIME)], key=lambda column: column.index)
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
         chosen += [TableColumn(index=header.index(name), field=name) for name in (STATUS, COUNTER)]
@@ -171,6 +176,38 @@ def columns_by_header(
         of = shortened(header[stamp.index])
         said.append(sentence("table_columns.stamp", name=path.name, stamp=of, others=others))
     return _checked(path, chosen, tuple(said), header)
+
+
+def _no_clocks(rows: Sequence[Sequence[str]], width: int) -> set[int]:
+    """Return which columns have the same, or nothing, in some of these rows."""
+    cells = [[row[column].lower() for row in rows if column < len(row)] for column in range(width)]
+    return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
+
+
+def _split_time(columns: Sequence[TableColumn | None], rows: Sequence[Sequence[str]]) -> list[TableColumn]:
+    """Return the column of whole seconds and that of their fraction, as ROS writes its stamps; none where there are none."""
+    for whole, part in pairwise(columns):
+        if whole is None or part is None or (whole.field, whole.unit, part.unit) not in ((TIME, "s", "ns"), (TIME, "s", "us")):
+            continue
+        pairs = [(row[whole.index], float(row[part.index]) * SECONDS[str(part.unit)]) for row in rows if part.index < len(row)]
+        are_whole = all(seconds.removesuffix(".0").isdigit() and 0.0 <= fraction < 1.0 for seconds, fraction in pairs)
+        # A stamp that was never set stands still.
+        is_clock = are_whole and len({*pairs}) == len(pairs)
+        if is_clock and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
+            return [whole, replace(part, field=FRACTION)]
+    return []
+
+
+def with_whole_times(meaning: Meaning, values: FloatArray) -> tuple[Meaning, FloatArray]:
+    """Return rows whose time is one column, where a second one has the fraction of its seconds."""
+    fields = [column.field for column in meaning.columns]
+    if FRACTION not in fields:
+        return meaning, values
+    time, part = fields.index(TIME), fields.index(FRACTION)
+    rows = values.copy()
+    rows[:, time] += rows[:, part] * SECONDS[meaning.units[FRACTION]]
+    columns = tuple(column for column in meaning.columns if column.field != FRACTION)
+    return replace(meaning, columns=columns), np.delete(rows, part, axis=1)
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
@@ -209,7 +246,7 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
         missing = [field for field in triad if field not in fields]
         if 0 < len(missing) < 3:
             raise UsageError(sentence("table_columns.missing", path=str(path), missing=missing))
-    if not set(fields) - {TIME, TEMPERATURE, STATUS, COUNTER}:
+    if not set(fields) - {TIME, FRACTION, TEMPERATURE, STATUS, COUNTER}:
         told = {"names": [shortened(name) for name in names[:_NAMED_AT_ONCE]], "example": _EXAMPLE}
         raise UsageError(sentence("table_columns.no_triad", path=str(path), **told))
     units: dict[str, str] = {}

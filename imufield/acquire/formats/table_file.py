@@ -19,6 +19,7 @@ from imufield.acquire.formats.table_columns import (
     columns_by_user,
     in_degc,
     median_step,
+    with_whole_times,
 )
 from imufield.acquire.formats.table_names import TEMPERATURE, TIME, refuse_several_instruments
 from imufield.acquire.formats.table_text import ROWS_LOOKED_AT, TextTable, open_table
@@ -72,9 +73,10 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
         meaning = columns_by_user(source.path, columns, source.width)
     elif source.header is not None:
         text_columns = source.text_columns if isinstance(source, TextTable) else ()
-        no_clocks = _no_clocks(source)
+        numbers = [] if isinstance(source, TextTable) else source.values[:ROWS_LOOKED_AT].tolist()
+        rows = source.head if isinstance(source, TextTable) else [[*map(str, row)] for row in numbers]
         meaning = columns_by_header(
-            source.path, source.header, source.units, width=source.width, text_columns=text_columns, no_clocks=no_clocks
+            source.path, source.header, source.units, width=source.width, text_columns=text_columns, rows=rows
         )
         if isinstance(source, TextTable):
             refuse_several_instruments(source.path, source.header, source.head)
@@ -87,19 +89,13 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
     return replace(meaning, units=meaning.units | {TIME: "s"}) if dated else meaning
 
 
-def _no_clocks(source: Source) -> set[int]:
-    """Return which columns have the same, or nothing, in some of the first rows."""
-    rows = source.head if isinstance(source, TextTable) else source.values[:ROWS_LOOKED_AT].tolist()
-    cells = [[str(row[column]).lower() for row in rows if column < len(row)] for column in range(source.width)]
-    return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
-
-
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:
     """Return a file as it is, or each triad by itself where some rows lack it.
 
     Programs that log two instruments write each sample into a row of its own, or leave a lost one empty: a triad consists of
     the rows that have its values, and its times are its own. Raises as ``file_of``.
     """
+    meaning, values = with_whole_times(meaning, values)
     places = {column.field: place for place, column in enumerate(meaning.columns)}
     lacks = {}
     for quantity, triad in TRIADS.items():
@@ -156,6 +152,7 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, rows: Sequence
         ``BAD_DATA`` with the line that is wrong.
     """
     path = source.path
+    meaning, values = with_whole_times(meaning, values)
     # One row has no rate.
     if len(values) < 2:
         raise RecordingError(sentence("table_file.one_row", path=str(path)), Reason.BAD_DATA)

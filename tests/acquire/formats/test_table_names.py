@@ -9,7 +9,7 @@ import pytest
 
 from imufield.acquire.formats.table_file import meaning_of, open_source
 from imufield.acquire.formats.table_names import named_column
-from imufield.acquire.formats.tables import read_tables
+from imufield.acquire.formats.tables import read_tables, stream_table
 from imufield.errors import Reason, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 from tests.acquire.table_files import write
@@ -275,12 +275,27 @@ def test_the_time_of_measurement_goes_before_that_of_receipt(tmp_path: Path, hea
     [
         pytest.param("Time,header.stamp", ["1.03,0", "1.04,0", "1.05,0"], id="never set"),
         pytest.param("Time,header.stamp", ["1.03,1.02", "1.04,", "1.05,1.04"], id="with gaps"),
-        pytest.param("Time,header.stamp.secs,header.stamp.nsecs", ["1.03,1,20000000", "2.03,2,10000000"], id="in parts"),
+        pytest.param("Time,header.stamp.secs,header.stamp.nsecs", ["1.03,0,0", "2.03,0,0", "3.03,0,0"], id="in parts, never set"),
+        pytest.param("Time_us,stamp_s,stamp_ns", ["1,1,1000000000", "9,2,2000000000"], id="the same in another unit"),
     ],
 )
 def test_a_stamp_that_is_no_clock_is_left(tmp_path: Path, header: str, times: list[str]) -> None:
     place, told = rows_of(tmp_path, header, *times)
     assert (place, "table_columns.stamp" in told) == (0, False)
+
+
+@pytest.mark.parametrize(
+    ("header", "per_s"), [("header.stamp.sec,header.stamp.nanosec", 10**9), ("stamp_secs,stamp_usecs", 10**6)]
+)
+@pytest.mark.parametrize("first", ["", "Time,"])
+def test_a_stamp_in_whole_seconds_and_their_fraction_is_one_time(tmp_path: Path, header: str, per_s: int, first: str) -> None:
+    stamps = [f"{1690000000 + row // 100},{row % 100 * per_s // 100}" for row in range(250)]
+    receipt = [f"{0.01 * row:.2f}," if first else "" for row in range(250)]
+    lines = [f"{first}{header},ax,ay,az", *(f"{a}{b},0.1,0.2,9.8" for a, b in zip(receipt, stamps, strict=True))]
+    path = write(tmp_path, "\n".join(lines) + "\n")
+    for table in (read_tables([path]), *stream_table(path)):
+        np.testing.assert_allclose(table.rows[:, 0] - table.rows[0, 0], 0.01 * np.arange(250), atol=1e-6)
+        np.testing.assert_array_equal(table.rows[:, 1:4], np.tile([0.1, 0.2, 9.8], (250, 1)))
 
 
 def test_a_stamp_in_an_array_that_was_never_set_is_left(tmp_path: Path) -> None:
