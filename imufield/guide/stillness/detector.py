@@ -133,6 +133,8 @@ class StillnessDetector:
         """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
         self.restart()
         self._slot = None
+        # What waits for a noise floor is of before.
+        self._waiting, self._cells_waiting, self._tail = [], 0, []
 
     def judge(self, cells: Cells) -> Iterator[Judgement]:
         """Judge finished cells one by one; between two of them ``stretch`` and ``phase`` are those after the first."""
