@@ -117,8 +117,11 @@ class Connected:
         baud, rates = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
         where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
         virtual: dict[str, object] = {"is_virtual": True} if self.is_virtual else {}
+        instrument = {"driver": self.driver, "model": self.model, **self.identity}
+        # In every file and picture to come: none of them is of a real instrument.
+        instrument["model"] += " (emulated)" if self.is_virtual else ""
         return {
-            "instrument": {"driver": self.driver, "model": self.model, **self.identity},
+            "instrument": instrument,
             # TOML has no value for nothing.
             "link": virtual | {name: value for name, value in {**where, **rates}.items() if value is not None},
             **protocol_tables(self.protocol),
