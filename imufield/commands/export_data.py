@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from imufield.acquire.decoded_session import session_protocol
@@ -13,15 +11,14 @@ from imufield.commands.options.result_commands import ExportDataOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.printed_numbers import beside, hanging
-from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of
+from imufield.deliver.samples.export_csv import refuse_foreign_text
+from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of, format_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import session_outline, session_samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
-
-_TEXT_ENDS = ("txt", "dat", "log")  # Of names of text, whatever stands in it.
 
 
 def run_export_data(options: ExportDataOptions) -> None:
@@ -34,13 +31,15 @@ def run_export_data(options: ExportDataOptions) -> None:
     RecordingError
         If the session cannot be read or the file not be written.
     """
-    to = _format_of(options.output) if options.to is None else options.to
+    to = format_of(options.output) if options.to is None else options.to
     if to not in FORMATS:
         listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
         raise UsageError(sentence("export_data.unknown_format", to=to, listed=listed))
     session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts, RecordingError)
+    if to == "csv":
+        refuse_foreign_text(path)
     protocol = session_protocol(session)
     # What was typed at the import goes before what the protocol assumes.
     stated = session.record.nominal.raw_zero
@@ -59,15 +58,3 @@ def run_export_data(options: ExportDataOptions) -> None:
     flags = count.flags(has_status=not FORMATS[to].lacks)
     if flags:
         echo(hanging("", flags))
-
-
-def _format_of(path: Path | None) -> str:
-    """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none.
-
-    An unknown end is returned as it is, and then refused: CSV under the name of a spreadsheet helps nobody.
-    """
-    name = "" if path is None else path.name.lower()
-    fitting = [to for to, form in FORMATS.items() if name.endswith((f".{form.suffix}", f".{to}"))]
-    end = Path(name).suffix.removeprefix(".")
-    other = "csv" if end in _TEXT_ENDS or not any(map(str.isalpha, end)) else end
-    return max(fitting, key=lambda to: len(FORMATS[to].suffix), default=other)

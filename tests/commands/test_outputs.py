@@ -33,6 +33,8 @@ def contents(folder: Path) -> dict[str, bytes]:
         "export-data S -o S/part-001.mcap",
         "export-data S -o link",
         "export-data S -o hard",
+        "export-data S -o ok.csv",
+        "apply S/parameters.toml S -o ok.csv",
         "apply S/parameters.toml S -o S/part-001.mcap",
         "apply S/parameters.toml ok.csv -o ok.csv",
         "apply S/parameters.toml ok.csv -o S/parameters.toml",
@@ -81,6 +83,14 @@ def test_the_name_tells_the_format(folder: Path, name: str, package: str, begins
     pytest.importorskip(package)
     assert run(["export-data", "S", "-o", *name.split()]) == 0
     assert (folder / name.split(maxsplit=1)[0]).read_bytes().startswith(begins)
+
+
+def test_corrected_samples_are_text_and_replace_their_like(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("apply S/parameters.toml S -o s.parquet".split()) == USAGE
+    assert ".csv" in capsys.readouterr().err
+    for _ in range(2):
+        assert run("apply S/parameters.toml S -o s.csv".split()) == 0
+        assert run("export-data S -o s.csv".split()) == 0
 
 
 def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:

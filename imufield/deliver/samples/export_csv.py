@@ -6,10 +6,16 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from imufield.deliver.samples.number_text import float_column, integer_column, table_text
+from imufield.errors import UsageError
+from imufield.files import open_to_read
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 ROWS = 2048
 """Rows that are written at once: a quarter of a megabyte of text. More is no faster."""
+_HEADER_BYTES = 1 << 10
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
@@ -21,6 +27,15 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
             rows += len(block)
             file.write(rows_text(block))
     return rows
+
+
+def refuse_foreign_text(path: Path) -> None:
+    """Keep a text that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
+    if path.is_file():
+        with open_to_read(path) as file:
+            first = file.readline(_HEADER_BYTES)
+        if first and first.rstrip() != ",".join(SAMPLE_COLUMNS).encode():
+            raise UsageError(sentence("export_csv.foreign", path=path))
 
 
 def rows_text(samples: Samples) -> bytes:

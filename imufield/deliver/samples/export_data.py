@@ -21,6 +21,8 @@ from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
 from imufield.samples import FloatArray, Samples, concatenate
 
+_TEXT_ENDS = ("txt", "dat", "log")  # Of names of text, whatever stands in it.
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
@@ -34,6 +36,18 @@ class Format:
     """What it has no place for, in words."""
     rows: int = 1 << 16
     """Of a block; 5 MB are a good size for the pieces of a Parquet file."""
+
+
+def format_of(path: Path | None) -> str:
+    """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none.
+
+    An unknown end is returned as it is, and then refused: CSV under the name of a spreadsheet helps nobody.
+    """
+    name = "" if path is None else path.name.lower()
+    fitting = [to for to, form in FORMATS.items() if name.endswith((f".{form.suffix}", f".{to}"))]
+    end = Path(name).suffix.removeprefix(".")
+    other = "csv" if end in _TEXT_ENDS or not any(map(str.isalpha, end)) else end
+    return max(fitting, key=lambda to: len(FORMATS[to].suffix), default=other)
 
 
 def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv", facts: Mapping[str, str] | None = None) -> int:
