@@ -116,15 +116,21 @@ class PositionPair:
 
 
 def position_pairs(spread: Influence) -> tuple[PositionPair, ...]:
-    """Return the pairs that carry a coordinate between them, and that no other position checks."""
-    h, found = spread.leverage, []
+    """Return the pairs that carry a coordinate between them, and that no other position checks.
+
+    Of those in which one position gives most, the pair with the largest share: any other would carry nearly as much with it.
+    """
+    h, found = spread.leverage, dict[tuple[int, int], PositionPair]()
     for i, j in combinations(range(len(h)), 2):
         # The larger eigenvalue of the two rows and columns.
         followed = (h[i] + h[j]) / 2 + np.hypot((h[i] - h[j]) / 2, spread.hat[i, j])
         share = spread.share[i] + spread.share[j]
         if followed > PAIR_LEVERAGE and share.max() > PAIR_SHARE:
-            found.append(PositionPair((i, j), int(share.argmax()), float(share.max())))
-    return tuple(found)
+            pair = PositionPair((i, j), int(share.argmax()), float(share.max()))
+            most = max(pair.positions, key=lambda position, k=pair.coordinate: spread.share[position, k])
+            before = found.setdefault((most, pair.coordinate), pair)
+            found[most, pair.coordinate] = max(before, pair, key=lambda each: each.share)
+    return tuple(found.values())
 
 
 def single_position_factors(spread: Influence, singles: tuple[SinglePosition, ...]) -> FloatArray:

@@ -275,7 +275,9 @@ def test_the_time_of_measurement_goes_before_that_of_receipt(tmp_path: Path, hea
     [
         pytest.param("Time,header.stamp", ["1.03,0", "1.04,0", "1.05,0"], id="never set"),
         pytest.param("Time,header.stamp", ["1.03,1.02", "1.04,", "1.05,1.04"], id="with gaps"),
-        pytest.param("Time,header.stamp.secs,header.stamp.nsecs", ["1.03,0,0", "2.03,0,0", "3.03,0,0"], id="in parts, never set"),
+        pytest.param(
+            "Time,header.stamp.secs,header.stamp.nsecs", ["1.03,0,0", "2.03,0,0", "3.03,0,0"], id="in parts, never set"
+        ),
         pytest.param("Time_us,stamp_s,stamp_ns", ["1,1,1000000000", "9,2,2000000000"], id="the same in another unit"),
     ],
 )

@@ -8,7 +8,7 @@ from calibration_truth import GRAVITY, campaign, random_parameters
 
 from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
-from imufield.calibrate.accelerometer.leave_one_out import influence, jackknife_sigma
+from imufield.calibrate.accelerometer.leave_one_out import influence, jackknife_sigma, position_pairs
 from imufield.calibrate.model.models import from_vector, recover
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 
@@ -47,3 +47,13 @@ def test_a_position_alone_cannot_be_left_out() -> None:
     assert spread.leverage == pytest.approx([0.5, 0.5, 1.0])
     assert np.isnan(spread.leave_one_out[2])
     assert spread.leave_one_out[:2] == pytest.approx([0.2, -0.2])
+
+
+def test_a_position_that_carries_with_any_other_is_told_of_once() -> None:
+    jacobian = np.random.default_rng(4).normal(size=(12, 3))
+    # The first position shows the first coordinate, and the others hardly do.
+    jacobian[1:, 0] *= 0.05
+    pairs = [pair for pair in position_pairs(influence(np.zeros(12), jacobian)) if 0 in pair.positions]
+    assert [pair.coordinate for pair in pairs] == [0]
+    shares = influence(np.zeros(12), jacobian).share[:, 0]
+    assert pairs[0].share == pytest.approx(shares[0] + max(shares[1:]))
