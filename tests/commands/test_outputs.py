@@ -86,11 +86,11 @@ def test_the_name_tells_the_format(folder: Path, name: str, package: str, begins
 
 
 def test_corrected_samples_are_text_and_replace_their_like(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("apply S/parameters.toml S -o s.parquet".split()) == USAGE
+    assert run(["apply", "S/parameters.toml", "S", "-o", "s.parquet"]) == USAGE
     assert ".csv" in capsys.readouterr().err
     for _ in range(2):
-        assert run("apply S/parameters.toml S -o s.csv".split()) == 0
-        assert run("export-data S -o s.csv".split()) == 0
+        assert run(["apply", "S/parameters.toml", "S", "-o", "s.csv"]) == 0
+        assert run(["export-data", "S", "-o", "s.csv"]) == 0
 
 
 def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:
