@@ -50,7 +50,14 @@ def run_apply(options: ApplyOptions) -> None:
         raise UsageError(sentence("apply.other_format", output=output))
     refuse_foreign_text(output)
     count, flags = RowCount(), TemperatureFlags(parameters)
-    rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)
+    try:
+        rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)
+    except UsageError as error:
+        # What is to be said of a table's columns an import takes, and this command does not.
+        if "imufield import" not in error.message:
+            raise
+        words = sentence("apply.by_import", error=error.message.removesuffix("."))
+        raise UsageError(words, error.reason, **error.values) from error
     # On the other stream: the rows say nothing of what is missing between them.
     say_each((*assumptions, *(entry.what for entry in damage)), err=True)
     if assumptions:

@@ -165,6 +165,15 @@ def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
     assert run(["apply", parameters, str(solved_session), "-o", str(output), "--rate-hz", "50"]) == 2
 
 
+def test_a_table_that_only_an_import_can_be_told_of_is_corrected_by_way_of_it(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("p,q,r,s\n" + "0.1,0.2,9.8,0.01\n" * 20)
+    assert run(["apply", str(solved_session), str(table), "-o", str(tmp_path / "corrected.csv")]) == 2
+    assert not missing(capsys.readouterr().err, "imufield import", "session that the import makes")
+
+
 def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(
     solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
