@@ -189,10 +189,13 @@ def _split_time(columns: Sequence[TableColumn | None], rows: Sequence[Sequence[s
     for whole, part in pairwise(columns):
         if whole is None or part is None or (whole.field, whole.unit, part.unit) not in ((TIME, "s", "ns"), (TIME, "s", "us")):
             continue
-        pairs = [(row[whole.index], float(row[part.index]) * SECONDS[str(part.unit)]) for row in rows if part.index < len(row)]
-        are_whole = all(seconds.removesuffix(".0").isdigit() and 0.0 <= fraction < 1.0 for seconds, fraction in pairs)
+        pairs = [
+            tuple(row[each].removesuffix(".0") for each in (whole.index, part.index)) for row in rows if part.index < len(row)
+        ]
+        are_whole = all(seconds.isdecimal() and fraction.isdecimal() for seconds, fraction in pairs)
+        are_parts = are_whole and all(int(fraction) * SECONDS[str(part.unit)] < 1.0 for _, fraction in pairs)
         # A stamp that was never set stands still.
-        is_clock = are_whole and len({*pairs}) == len(pairs)
+        is_clock = are_parts and len({*pairs}) == len(pairs)
         if is_clock and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
             return [whole, replace(part, field=FRACTION)]
     return []

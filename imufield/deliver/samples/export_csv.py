@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from imufield.deliver.samples.number_text import float_column, integer_column, table_text
@@ -31,11 +32,14 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
 
 def refuse_foreign_text(path: Path) -> None:
     """Keep a text that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
-    if path.is_file():
-        with open_to_read(path) as file:
-            first = file.readline(_HEADER_BYTES)
-        if first and first.rstrip() != ",".join(SAMPLE_COLUMNS).encode():
-            raise UsageError(sentence("export_csv.foreign", path=path))
+    first = b""
+    # What cannot be read, writing tells of.
+    with suppress(OSError):
+        if path.is_file():
+            with open_to_read(path) as file:
+                first = file.readline(_HEADER_BYTES)
+    if first and first.rstrip() != ",".join(SAMPLE_COLUMNS).encode():
+        raise UsageError(sentence("export_csv.foreign", path=path))
 
 
 def rows_text(samples: Samples) -> bytes:

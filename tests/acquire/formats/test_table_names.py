@@ -283,6 +283,7 @@ def test_the_time_of_measurement_goes_before_that_of_receipt(tmp_path: Path, hea
         pytest.param(
             "Time,header.stamp.secs,header.stamp.nsecs", ["1.03,0,0", "2.03,0,0", "3.03,0,0"], id="in parts, never set"
         ),
+        pytest.param("Time,stamp_s,stamp_ns", ["1.03,1,", "1.04,2,x", "1.05,,7"], id="in parts, with gaps"),
         pytest.param("Time_us,stamp_s,stamp_ns", ["1,1,1000000000", "9,2,2000000000"], id="the same in another unit"),
     ],
 )
