@@ -126,10 +126,9 @@ def position_pairs(spread: Influence) -> tuple[PositionPair, ...]:
         followed = (h[i] + h[j]) / 2 + np.hypot((h[i] - h[j]) / 2, spread.hat[i, j])
         share = spread.share[i] + spread.share[j]
         if followed > PAIR_LEVERAGE and share.max() > PAIR_SHARE:
-            pair = PositionPair((i, j), int(share.argmax()), float(share.max()))
-            most = max(pair.positions, key=lambda position, k=pair.coordinate: spread.share[position, k])
-            before = found.setdefault((most, pair.coordinate), pair)
-            found[most, pair.coordinate] = max(before, pair, key=lambda each: each.share)
+            k = int(share.argmax())
+            pair, most = PositionPair((i, j), k, float(share[k])), i if spread.share[i, k] > spread.share[j, k] else j
+            found[most, k] = max(found.get((most, k), pair), pair, key=lambda each: each.share)
     return tuple(found.values())
 
 

@@ -276,8 +276,8 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: Fl
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
     squares = misfits_rad(rates * CELL_S, before, after, permutations=permutations, scales=scales) ** 2
     if len(moves) < _ONE_MAY_BE_DAMAGED:
-        return np.sqrt(squares.mean(axis=1))
-    return np.sqrt((squares.sum(axis=1) - squares.max(axis=1)) / (len(moves) - 1))
+        return np.asarray(np.sqrt(squares.mean(axis=1)))
+    return np.asarray(np.sqrt((squares.sum(axis=1) - squares.max(axis=1)) / (len(moves) - 1)))
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:
