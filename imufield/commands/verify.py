@@ -45,8 +45,6 @@ from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
-HOLD_OUT = 4
-"""Positions left out at a time, where the session is the one the parameters come from."""
 FEWEST_OF_ONE_SIGN = 4
 """Residuals that say something of gravity: fewer have one sign by chance too often."""
 SAME_M_S2 = 1e-6
@@ -199,7 +197,7 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
         observations, _ = leave_out(observations, not_used)
         # Predicting positions from the others says nothing of parameters that did not come from these.
         changed = contradiction(calibration, observations, before)
-        return changed or cross_validate(calibration, observations, task.options.hold_out or HOLD_OUT, before)
+        return changed or cross_validate(calibration, observations, task.options.hold_out, before)
     except CalibrationError as error:
         if task.options.hold_out is not None or "residual-ug" in task.limits:
             raise

@@ -18,10 +18,12 @@ from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.deliver.report.data import observations_of
 from imufield.deliver.verification.left_out import cross_validate
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
+from imufield.errors import Reason, UsageError
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.study.answers.means import MeanSession
+from tests.refused import refused
 
 pytestmark = pytest.mark.numerical
 
@@ -79,6 +81,11 @@ def test_a_drift_that_was_fitted_is_no_misfit() -> None:
     assert np.any(calibration.positions.bias_drift_m_s2)
     found = cross_validate(calibration, observations, 4)
     assert found.misfit < found.misfit_limit
+    # It is not fitted to a group: that many may be left out, and no more.
+    count = len(observations)
+    with refused(UsageError, Reason.USAGE, key="left_out.hold_out") as caught:
+        cross_validate(calibration, observations, count)
+    assert caught.value.values["most"] == count - 10
 
 
 def test_with_a_drift_in_one_of_two_sessions_both_are_compared_in_the_linear_model(parameters: Parameters) -> None:

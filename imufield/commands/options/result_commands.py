@@ -268,8 +268,8 @@ class VerifyOptions:
     hold_out: Annotated[
         int | None,
         option(
-            help="How many positions at a time are left out and predicted from the others (default: 4); only for the "
-            "session the parameters came from.",
+            help="How many positions at a time are left out and predicted from the others (default: 4, or fewer where "
+            "fewer leave more positions than parameters); only for the session the parameters came from.",
             low=1,
         ),
     ] = None

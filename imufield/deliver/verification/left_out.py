@@ -51,8 +51,8 @@ sentence = Sentences(__package__)
 
 RUNS = 4000
 """Four times what the rarest statement, 1 in 1000, needs."""
-FEWEST_LEFT = 6
-"""Positions that must be left to calibrate from."""
+HOLD_OUT = 4
+"""Positions left out at a time, where nobody says how many and enough are left."""
 STRONG = 1e-3
 """A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
 FOREIGN = 10.0
@@ -63,30 +63,34 @@ _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be in
 _NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
-def _simulated_misfits(calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]]) -> FloatArray:
+def _simulated_misfits(
+    calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]], fitted: list[int]
+) -> FloatArray:
     """Return the pooled misfit of simulated sessions whose noise is as the calibration states, shape (RUNS,).
 
-    Every position is in one of the groups that are left out together. The session is linearised: residual = J z + noise.
+    Every position is in one of the groups that are left out together; so many parameters are ``fitted`` to the others of each.
+    The session is linearised: residual = J z + noise.
     """
-    p, quality = calibration.accelerometer, calibration.quality
+    p = calibration.accelerometer
     at = _derivatives(p, observations)
-    fitted = np.diag(_covariance(calibration))[:-1] > 0
-    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
-    # In most gauges columns depend on each other; as many as were fitted are independent.
-    J = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
+    known = np.diag(_covariance(calibration))[:-1] > 0
+    J = (at.jacobian * parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2))[:, known]
     within, m = _within(at, observations), len(observations)
-    sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)
+    sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2 + _TINY)
     noise = sigma * np.random.default_rng(0).standard_normal((RUNS, m))
-    squares = [_squares(J, within, group, noise, sigma=sigma) for group in one_by_one("simulating sessions", groups)]
+    pairs = one_by_one("simulating sessions", [*zip(groups, fitted, strict=True)])
+    squares = [_squares(J, within, group, noise, sigma=sigma, fitted=count) for group, count in pairs]
     return np.asarray(np.sum(squares, axis=0) / m)
 
 
 def _squares(
-    jacobian: FloatArray, within: FloatArray, group: NDArray[np.bool_], noise: FloatArray, *, sigma: FloatArray
+    jacobian: FloatArray, within: FloatArray, group: NDArray[np.bool_], noise: FloatArray, *, sigma: FloatArray, fitted: int
 ) -> FloatArray:
     """Return r^T S^-1 r of one group of every run, shape (RUNS,); ``within`` is the variance of each mean."""
     rest = ~group
-    J, H = jacobian[rest], jacobian[group]
+    # In most gauges columns depend on each other, and the rest may not show all: as many as were fitted are independent.
+    shown = np.linalg.svd(jacobian[rest], full_matrices=False)[2][:fitted].T
+    J, H = jacobian[rest] @ shown, jacobian[group] @ shown
     # Q spans the weighted columns; the fit at the true weights stands for that at the estimated ones.
     Q, R = np.linalg.qr(J / sigma[rest, None])
     whitened = noise[:, rest] / sigma[rest]
@@ -264,7 +268,10 @@ def contradiction(
 
 
 def cross_validate(
-    calibration: Calibration, observations: Observations, hold_out: int, before: AccelerometerParameters | None = None
+    calibration: Calibration,
+    observations: Observations,
+    hold_out: int | None = None,
+    before: AccelerometerParameters | None = None,
 ) -> LeftOutPositions:
     """Return residuals of positions each predicted by a calibration that has not seen it.
 
@@ -273,14 +280,14 @@ def cross_validate(
     calibration : Calibration
         From these observations; its model and signs are kept.
     observations : Observations
-    hold_out : int
-        Positions left out at a time.
+    hold_out : int, optional
+        Positions left out at a time. Default: ``HOLD_OUT``, or as many as leave a residual to spare.
     before : AccelerometerParameters, optional
 
     Raises
     ------
     UsageError
-        If too few positions would be left.
+        If no more positions would be left than parameters are fitted to them.
     CalibrationError
         If those left cannot be calibrated from.
     """
@@ -289,21 +296,26 @@ def cross_validate(
     observations = without_drift(observations, calibration)
     before_m_s2 = _residual_of(before, observations, calibration.gravity)
     calibration, observations = _without_higher(calibration, observations)
-    m = len(observations)
-    if not 1 <= hold_out <= m - FEWEST_LEFT:
-        most = m - FEWEST_LEFT
+    # Neither of them is fitted to a group, so the calibration may count more parameters.
+    m, fewest = len(observations), _again(calibration, observations).quality.parameters_fitted + 1
+    # The scatter is that of the residuals: a fit with none to spare has rounding only, and so would the limit.
+    most = m - fewest
+    hold_out = min(HOLD_OUT, most) if hold_out is None else hold_out
+    if not 1 <= hold_out <= most:
         key = "left_out.hold_out" if most > 0 else "left_out.none_to_spare"
-        raise UsageError(sentence(key, hold_out=hold_out, positions=m, fewest=FEWEST_LEFT, most=most))
+        raise UsageError(sentence(key, hold_out=hold_out, positions=m, fewest=fewest, most=most))
     count = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
+    fitted: list[int] = []
     # Every count-th position: neighbours in time, which drift alike, part ways.
     groups = [np.arange(m) % count == first for first in range(count)]
     for group in one_by_one("solving without some positions", groups):
         others = _again(calibration, observations[~group])
+        fitted.append(others.quality.parameters_fitted)
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[group], S) * int(group.sum()) / m
-    by_chance = _simulated_misfits(calibration, observations, groups)
+    by_chance = _simulated_misfits(calibration, observations, groups, fitted)
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -337,10 +349,8 @@ def _without_higher(calibration: Calibration, observations: Observations) -> tup
     used = calibration.accelerometer
     if used.higher is None:
         return calibration, observations
-    quality = replace(calibration.quality, parameters_fitted=len(LOWER_GAUGE_COLUMNS))
     raw = without_higher(used, observations.mean_raw)
-    plain = replace(calibration, accelerometer=replace(used, higher=None), quality=quality)
-    return plain, replace(observations, mean_raw=raw)
+    return replace(calibration, accelerometer=replace(used, higher=None)), replace(observations, mean_raw=raw)
 
 
 def _again(calibration: Calibration, observations: Observations) -> Calibration:
