@@ -15,9 +15,16 @@ from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.result_commands import VerifyOptions
-from imufield.commands.terminal.output import echo, say, tell_written
+from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.deliver.navigation.alignment import Heading
-from imufield.deliver.navigation.static_navigation import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.static_navigation import (
+    SHORTEST_S,
+    TURNED_DEG,
+    Apply,
+    CheckSettings,
+    NavigationResult,
+    StaticNavigation,
+)
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, beside, shown_on
@@ -142,7 +149,7 @@ def _verify(task: _Task) -> Verification:
     """Read the session once and do every check it allows; raises as ``run_verify``."""
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
-    navigation, flags = _Navigation(task, problems), TemperatureFlags(task.parameters)
+    navigation, flags = _Navigation(task), TemperatureFlags(task.parameters)
     untried = navigation.is_off
     # Positions alone are all in what is kept of an earlier replay.
     only_positions = untried and not task.parameters.temperature_models
@@ -153,18 +160,21 @@ def _verify(task: _Task) -> Verification:
     with naming_damage(task.session, damage):
         left_out = _left_out(task, chain, reading, problems)
         navigated = navigation.finish()
+        # Whoever took positions is not told at which of them the navigation stopped.
+        is_turned = untried or (navigated is None and left_out is not None and _is_turned(left_out))
+        if navigation.problem is not None and not is_turned:
+            problems.append(navigation.problem)
         if left_out is None and navigated is None:
-            least_s = task.options.align_s + SHORTEST_S
-            nothing = CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
             # A wrong unit, or gaps, cause the other problems, too.
-            cause = next((error for error in problems if error.reason in (Reason.GRAVITY, Reason.DAMAGED)), None)
-            raise cause or next(iter(problems), nothing)
+            problems.sort(key=lambda error: error.reason not in (Reason.GRAVITY, Reason.DAMAGED))
+            say_each((error.message for error in problems[1:]), err=True)
+            raise problems[0]
     parameters = task.parameters
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
-    why_not = "verify.guided" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
-    why = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if untried else ()
+    why_not = "verify.turned" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
+    why = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_turned else ()
     read = (*(entry.what for entry in damage), *(error.message for error in problems), *why)
     return Verification(
         parameters=parameters,
@@ -203,6 +213,11 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
             raise
         problems.append(error)
         return None
+
+
+def _is_turned(found: LeftOutPositions) -> bool:
+    """Tell whether a position is neither that of the first nor the one turned over, as a standstill has no other."""
+    return bool(np.any(np.abs(found.up @ found.up[0]) < np.cos(np.radians(TURNED_DEG))))
 
 
 def _observations_of(chain: Chain) -> Observations:
@@ -253,12 +268,14 @@ def _before_accelerometer(task: _Task, protocol: Protocol | None) -> Acceleromet
 class _Navigation:
     """Static navigation along with the replay, where the session and the parameters allow it."""
 
-    def __init__(self, task: _Task, problems: list[ImufieldError]) -> None:
+    def __init__(self, task: _Task) -> None:
         self._task = task
-        self._problems = problems
+        self.problem: ImufieldError | None = None
         self._check: StaticNavigation | None = None
-        # A guided session is turned all the time, and without a gyroscope there is none; who wants it has to say so.
-        is_possible = task.session.record.scheme is None and task.parameters.gyroscope_is_complete
+        # A session that is guided, or was solved, is one of positions; without a gyroscope there is no navigation either. Who
+        # wants it has to say so.
+        is_of_positions = task.session.record.scheme is not None or task.is_its_own
+        is_possible = not is_of_positions and task.parameters.gyroscope_is_complete
         self.is_off = not (is_possible or task.wants_navigation)
 
     def feed(self, samples: Samples) -> None:
@@ -285,7 +302,7 @@ class _Navigation:
         is_missing = isinstance(error, UsageError) and self._task.wants_navigation
         if self._task.asks_for_navigation or is_missing or isinstance(error, ParameterFileError):
             raise error
-        self._problems.append(error)
+        self.problem = error
         self.is_off = True
 
     def _start(self) -> StaticNavigation:

@@ -54,7 +54,13 @@ def short(short_solved: Path, tmp_path: Path) -> Path:
 
 
 def rest_session(
-    folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", temperature_degc: float = np.nan, **metadata: Any
+    folder: Path,
+    duration_s: float = 500.0,
+    unit: str = "m/s^2",
+    temperature_degc: float = np.nan,
+    noise_m_s2: float = 1e-4,
+    turned_s: float = np.inf,
+    **metadata: Any,
 ) -> Session:
     """Record an instrument at rest, level, heading east of north, with the noise of a good one."""
     rate_hz, rng = 20.0, np.random.default_rng(1)
@@ -63,9 +69,10 @@ def rest_session(
     north, up = EARTH_RATE_RAD_S * np.cos(latitude), EARTH_RATE_RAD_S * np.sin(latitude)
     rows: FloatArray = np.zeros((n, 8))
     rows[:, 0] = np.arange(n) / rate_hz
-    rows[:, 1:4] = [0.001, 0.002, GRAVITY_M_S2] + 1e-4 * rng.standard_normal((n, 3))
+    rows[:, 1:4] = [0.001, 0.002, GRAVITY_M_S2] + noise_m_s2 * rng.standard_normal((n, 3))
     rows[:, 4:7] = [0.8 * north, 0.6 * north, up] + 1e-6 * rng.standard_normal((n, 3))
     rows[:, 7] = temperature_degc
+    rows[rows[:, 0] > turned_s, 1:7] *= [1, -1, -1, 1, -1, -1]
     protocol = load_protocol("rows_f64", {"accelerometer_unit": unit, "gyroscope_unit": "rad/s", "rate_hz": rate_hz})
     content: dict[str, Any] = {
         "kind": "import",
@@ -98,10 +105,62 @@ def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: py
     assert "4" in found.left_out.how.split()
     assert found.left_out.before_rms_m_s2 > 3 * found.left_out.rms_m_s2
     assert found.navigation is None
-    (why,) = told(found.notes, "verify.guided")
+    (why,) = told(found.notes, "verify.turned")
     assert why.values["least_s"] == VerifyOptions().align_s + SHORTEST_S
     assert not missing(capsys.readouterr().out, "imufield record")
     assert json.loads(output.read_text())["positions"]["as_forecast"]
+
+
+@pytest.fixture
+def imported(short: Path, tmp_path: Path) -> Path:
+    """Return the same as a table of another program, imported and solved: nobody says that it was guided, or where."""
+    table, session = tmp_path / "table.csv", tmp_path / "imported"
+    assert run(["export-data", str(short), "-o", str(table)]) == 0
+    assert run(["import", str(table), "-o", str(session)]) == run(["solve", str(session), "--gravity", "9.8"]) == 0
+    return session
+
+
+@pytest.mark.parametrize("align_s", [600.0, 60.0, 10.0])
+def test_positions_that_were_imported_are_not_navigated_as_guided_ones_are(
+    short: Path, imported: Path, tmp_path: Path, align_s: float
+) -> None:
+    for parameters in (imported, short):
+        site = SiteOptions() if parameters == imported else SiteOptions(latitude_deg=LATITUDE_DEG)
+        path, output = parameters / "parameters.toml", tmp_path / "found.json"
+        found = run_verify(VerifyOptions(parameters=path, session=imported, align_s=align_s, site=site, output=output))
+        assert found.left_out is not None
+        assert len(found.left_out.name) == 14
+        (why,) = told([note for note in found.notes if "navigation" in note], "verify.turned")
+        assert why.values["least_s"] == align_s + SHORTEST_S
+
+
+def test_a_standstill_that_is_turned_over_is_told_of_turned(short: Path, tmp_path: Path) -> None:
+    """It has two positions, and is no session of them."""
+    rest = rest_session(tmp_path / "rest", turned_s=300.0).folder
+    options = VerifyOptions(parameters=short / "parameters.toml", session=rest, align_s=200.0, output=tmp_path / "found.json")
+    assert told(run_verify(options).notes, "check.moved")
+
+
+def test_of_positions_that_show_no_quadratic_term_without_some_that_is_told(
+    short: Path, imported: Path, tmp_path: Path
+) -> None:
+    for session in (short, imported):
+        path, output = tmp_path / f"{session.name}.toml", ["-o", str(tmp_path / "found.json")]
+        assert run(["solve", str(session), "--gravity", "9.8", "--model", "quadratic", "-o", str(path)]) == 0
+        error = fails(["verify", str(path), str(session), *output], 6, Reason.UNOBSERVABLE, key="left_out.without")
+        assert error.values["positions"] == 14
+
+
+def test_where_nothing_can_be_checked_every_cause_is_told(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That of the positions first, of which every recording has some."""
+    moving = rest_session(tmp_path / "moving", 60.0, noise_m_s2=5.0).folder
+    command = ["verify", str(short / "parameters.toml"), str(moving), "-o", str(tmp_path / "found.json")]
+    capsys.readouterr()
+    fails(command, 6, Reason.TOO_FEW)
+    told_s = {"duration_s": 59.95, "needed_s": 660.0, "align_s": 600.0}
+    assert says(capsys.readouterr().err, "deliver.navigation", "check.too_short", **told_s)
 
 
 def test_alone_it_takes_the_newest_session_and_its_parameters(

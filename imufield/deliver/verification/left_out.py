@@ -310,7 +310,12 @@ def cross_validate(
     # Every count-th position: neighbours in time, which drift alike, part ways.
     groups = [np.arange(m) % count == first for first in range(count)]
     for group in one_by_one("solving without some positions", groups):
-        others = _again(calibration, observations[~group])
+        try:
+            others = _again(calibration, observations[~group])
+        except CalibrationError as error:
+            names = [observations.name[row] for row in np.flatnonzero(group)]
+            without = sentence("left_out.without", names=names, positions=m, error=error.message)
+            raise CalibrationError(without, error.reason, **error.values) from error
         fitted.append(others.quality.parameters_fitted)
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))
