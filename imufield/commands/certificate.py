@@ -8,12 +8,14 @@ from pathlib import Path
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.commands.options.result_commands import CertificateOptions
 from imufield.commands.terminal.output import say, say_each, write_output
-from imufield.deliver.certificate.certificate import Certificate, Parties, issue_date, to_json
+from imufield.deliver.certificate.certificate import Certificate, Parties, issue_date, to_json, verification_statements
 from imufield.deliver.certificate.dcc import to_xml
 from imufield.deliver.certificate.label import label_svg
 from imufield.deliver.certificate.page import render_certificate
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
+from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.page import load_weasyprint, to_pdf
+from imufield.deliver.verification.result import verification_path
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.progress import task
@@ -39,6 +41,7 @@ def run_certificate(options: CertificateOptions) -> tuple[Path, ...]:
         load_weasyprint()
     source = Session.newest().folder if options.source is None else options.source
     parameters = load(source)
+    path = parameters.path or source / PARAMETER_FILE
     folder = options.output or (source if source.is_dir() else source.parent)
     certificate = Certificate(
         parameters=parameters,
@@ -46,12 +49,13 @@ def run_certificate(options: CertificateOptions) -> tuple[Path, ...]:
         protocol=_protocol(source, parameters),
         issued=issue_date(),
         due_months=options.due_months,
+        verified=tuple(verification_statements(verification_path(path), content_sha256(parameters.document))),
     )
-    say_each(filter(None, (parameters.edited_note, parameters.verdict_note)), err=True)
+    say_each(filter(None, (parameters.edited_note, parameters.verdict_note, *certificate.verified)), err=True)
     contents = _contents(certificate, with_pdf=options.pdf)
     # All before any is written: no page without its XML.
     for name in contents:
-        refuse_overwriting(folder / name, [parameters.path or source / PARAMETER_FILE])
+        refuse_overwriting(folder / name, [path])
     for name, content in contents.items():
         write_output(folder / name, content)
     return tuple(folder / name for name in contents)

@@ -16,13 +16,16 @@ import pytest
 from imufield.cli.run import run
 from imufield.commands.certificate import run_certificate
 from imufield.commands.options.result_commands import CertificateOptions
-from imufield.deliver.certificate.certificate import Certificate, Parties, statements
+from imufield.deliver.certificate.certificate import Certificate, Parties, statements, verification_statements
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.budget import budget_of, budget_tables, scale_words
+from imufield.deliver.verification.result import FORMAT, VERSION, write_verification
 from imufield.errors import ParameterFileError, Reason
+from imufield.sentences import Sentences
 from tests.refused import refused
-from tests.told import told
+from tests.told import key_of, told
 
 DAY = "1764000000"  # 2025-11-24
 
@@ -95,6 +98,62 @@ def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp
     own, true = table.sums[:2]
     assert max(own[1:], key=float) == figures.values["by_clock"]
     assert max(true[1:], key=float) == figures.values["true"]
+
+
+def verified(folder: Path, capsys: pytest.CaptureFixture[Any], *limits: str) -> tuple[list[str], str]:
+    """Verify and issue a certificate; return its statements, and what is printed beside."""
+    run(["verify", str(folder / "parameters.toml"), str(folder), *limits])
+    capsys.readouterr()
+    assert run(["certificate", str(folder)]) == 0
+    document = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+    for name in ("certificate.html", "certificate.xml"):
+        text = unescape((folder / name).read_text(encoding="utf-8")).lower()
+        assert all(statement.lower() in text for statement in document["statements"] if "requirement" in statement.lower())
+    return document["statements"], " ".join(capsys.readouterr().err.split())
+
+
+def test_a_requirement_is_stated_with_its_outcome(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[Any]
+) -> None:
+    """The same words as the report has: whoever sees the verdict alone takes a failed calibration for a good one."""
+    folder = Path(shutil.copytree(solved_session, tmp_path / "solved"))
+    stated = Sentences("imufield.deliver.certificate")
+    said, _ = verified(folder, capsys)
+    assert not [one for one in said if "requirement" in one.lower()]
+    for limit, outcome in ((0.5, "not_met"), (5000.0, "met")):
+        said, printed = verified(folder, capsys, "--require", f"residual-ug={limit}")
+        (kept,) = json.loads((folder / "parameters.verification.json").read_text(encoding="utf-8"))["requirement"]
+        assert kept["passed"] is (outcome == "met")
+        told_so = stated(f"requirement.{outcome}", name="residual-ug", limit=limit, measured=kept["measured"])
+        assert told_so in said
+        assert told_so in printed
+    # One that was not measured has failed as well.
+    said, _ = verified(folder, capsys, "--require", "nav-nmi-per-h=1", "--latitude", "48")
+    assert stated("requirement.not_measured", name="nav-nmi-per-h", limit=1.0, measured=None) in said
+    # Of results that somebody changed nothing is believed.
+    results = folder / "parameters.verification.json"
+    results.write_text(results.read_text(encoding="utf-8").replace("false", "true"), encoding="utf-8")
+    assert run(["certificate", str(folder)]) == 0
+    said = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))["statements"]
+    assert Sentences("imufield.deliver.verification")("result.left_out", name=results.name) in said
+
+
+def test_an_objection_is_stated(solved_session: Path, tmp_path: Path) -> None:
+    """Of parameters that the session does not give, whatever is required."""
+    results = tmp_path / "parameters.verification.json"
+    parameters = load(solved_session)
+    sha256 = content_sha256(parameters.document)
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "parameters_sha256": sha256,
+        "passed": False,
+        "objections": ["solve again"],
+    }
+    write_verification(results, content | {"requirement": []})
+    (said,) = verification_statements(results, sha256)
+    assert key_of(said) == "requirement.objection"
+    assert "solve again" in said
 
 
 def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import re
 from calendar import monthrange
 from collections.abc import Iterator
 from datetime import UTC, date, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from imufield.deliver.report.budget import (
     scale_words,
     share_words,
 )
+from imufield.deliver.verification.result import read_verification, verification_note
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
 from imufield.files import source_date, utf8_text
 from imufield.sentences import Sentence, Sentences, printable
@@ -62,6 +64,8 @@ class Certificate:
     issued: str
     """ISO 8601."""
     due_months: int | None = None
+    verified: tuple[str, ...] = ()
+    """What their verification says, ``verification_statements``."""
 
     @property
     def sha256(self) -> str:
@@ -131,11 +135,22 @@ def _months_later(text: str, months: int) -> str:
         return ""
 
 
+def verification_statements(results: Path, sha256: str) -> Iterator[str]:
+    """Yield the requirements with their outcome and the objections, from the results for parameters of this content."""
+    if note := verification_note(results, sha256):
+        yield note
+    document = read_verification(results, sha256) or {}
+    for requirement in document.get("requirement", []):
+        outcome = "not_measured" if requirement["measured"] is None else "met" if requirement["passed"] else "not_met"
+        yield sentence(f"requirement.{outcome}", **{key: requirement[key] for key in ("name", "limit", "measured")})
+    yield from (sentence("requirement.objection", objection=objection) for objection in document.get("objections", []))
+
+
 def statements(certificate: Certificate) -> tuple[str, ...]:
     """Return what the certificate claims, and what it does not."""
     quality = certificate.parameters.calibration.quality
-    told = [sentence("certificate.in_house"), sentence("certificate.coverage")]
-    told.append(sentence("certificate.verdict", verdict=quality.verdict))
+    told: list[str] = [sentence("certificate.in_house"), sentence("certificate.coverage")]
+    told += [sentence("certificate.verdict", verdict=quality.verdict), *certificate.verified]
     if scale_words(certificate.parameters):
         told.append(sentence("certificate.true_seconds"))
     clock = certificate.parameters.context.clock
