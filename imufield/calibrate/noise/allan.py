@@ -7,8 +7,9 @@ of a level per averaging time, stepping by whole samples loses less than 1 % of 
 variances of chunks are averaged, weighted by their number of terms; the terms that straddle two chunks are the only ones lost.
 
 ``noise_fit`` reads the random walk and the bias instability from it. An Allan deviation needs rows one interval apart: lost
-samples are bridged by a straight line where no more than a second is missing, and counted; longer losses and clocks that jump
-back begin a new run of rows.
+samples are bridged by a straight line where no more than a second is missing, or two samples of a slow instrument, and counted;
+longer losses and clocks that jump back begin a new run of rows. A sample with the time of the one before is left out: if it was
+sent twice nothing is lost, and if its time came late the line fills its place.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ import importlib
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.dataclass import dataclass
 from imufield.errors import load_package
 from imufield.samples import FloatArray, IntArray
 
-BRIDGED_S = 1.0
-"""A longer hole ends the stretch."""
+_BRIDGED_S = 1.0  # A longer hole ends the stretch.
+_BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, however unsteady the clock.
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +34,8 @@ class EvenRows:
 
     start_s: float
     rows: FloatArray
-    bridged: int
-    """How many of them are on a straight line between samples."""
+    bridged: NDArray[np.bool_]
+    """Which of them are on a straight line between samples."""
     broken: bool
     """They do not follow the rows before."""
 
@@ -44,10 +46,16 @@ class EvenGrid:
     Parameters
     ----------
     interval_s : float
+
+    Attributes
+    ----------
+    bridged_s : float
+        The longest step from sample to sample that is bridged.
     """
 
     def __init__(self, interval_s: float) -> None:
         self.interval_s = interval_s
+        self.bridged_s = max(_BRIDGED_S, _BRIDGED_INTERVALS * interval_s)
         self._last: tuple[float, FloatArray] | None = None
 
     def feed(self, time_s: FloatArray, values: FloatArray) -> list[EvenRows]:
@@ -56,10 +64,12 @@ class EvenGrid:
         if self._last is not None:
             time_s = np.concatenate([[self._last[0]], time_s])
             values = np.concatenate([self._last[1][None], values])
+        goes_on = np.append(True, np.diff(time_s) != 0)
+        time_s, values = time_s[goes_on], values[goes_on]
         self._last = (float(time_s[-1]), values[-1])
         between = np.diff(time_s)
         steps = np.rint(between / self.interval_s).astype(np.int64)  # an unsteady clock is no loss
-        breaks = np.flatnonzero((between > BRIDGED_S) | (between <= 0)) + 1
+        breaks = np.flatnonzero((between > self.bridged_s) | (between < 0)) + 1
         runs = []
         for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
             even, bridged = bridge(values[rows], steps[rows[:-1]])
@@ -67,12 +77,12 @@ class EvenGrid:
             skip = 1 if continues and number == 0 else 0
             if len(even) > skip:
                 start_s = float(time_s[rows[0]]) + skip * self.interval_s
-                runs.append(EvenRows(start_s, even[skip:], bridged, number > 0))
+                runs.append(EvenRows(start_s, even[skip:], bridged[skip:], number > 0))
         return runs
 
 
-def bridge(values: FloatArray, steps: IntArray) -> tuple[FloatArray, int]:
-    """Return rows with straight lines over what is missing, and how many those are.
+def bridge(values: FloatArray, steps: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return m rows with straight lines over what is missing, and which of them are on these, shape (m,).
 
     Parameters
     ----------
@@ -80,13 +90,13 @@ def bridge(values: FloatArray, steps: IntArray) -> tuple[FloatArray, int]:
     steps : ndarray of int, shape (n - 1,)
         Sample intervals from each row to the next; fewer than 1 count as 1.
     """
-    steps = np.maximum(steps, 1)
-    missing = int(np.sum(steps - 1))
-    if not missing:
-        return values, 0
-    place = np.concatenate([[0], np.cumsum(steps)])
-    grid = np.arange(place[-1] + 1)
-    return np.stack([np.interp(grid, place, column) for column in values.T], axis=1), missing
+    place = np.concatenate([[0], np.cumsum(np.maximum(steps, 1))])
+    bridged = np.ones(place[-1] + 1, dtype=np.bool_)
+    bridged[place] = False
+    if not bridged.any():
+        return values, bridged
+    grid = np.arange(len(bridged))
+    return np.stack([np.interp(grid, place, column) for column in values.T], axis=1), bridged
 
 
 DECIMATION = 32

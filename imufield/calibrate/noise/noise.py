@@ -1,7 +1,8 @@
 """Noise of an instrument from hours of standstill: what ``imufield noise`` finds.
 
 Samples go onto an even grid (lost ones are bridged by a straight line up to 1 s, and counted), the longest stretch in which
-nothing was moved goes into the Allan deviation, and each axis is identified by itself. Memory does not grow with the length.
+nothing was moved goes into the Allan deviation, and each axis is identified by itself. Memory does not grow with the length,
+and the result does not depend on how the samples were cut into blocks.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import numpy as np
 
 from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise.allan import (
-    BRIDGED_S,
     AllanDeviation,
     AllanStream,
     EvenGrid,
@@ -31,6 +31,8 @@ sentence = Sentences(__package__)
 
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
+LEAST_AVERAGED = 10
+"""Samples in such a mean, which of a slow instrument takes longer: single ones scatter by up to 5 mg."""
 REFERENCE_S = 60.0
 """The mean that a second is compared with follows the last minute: warm-up passes, a touch does not."""
 LEAST_SAMPLES = 1000
@@ -40,7 +42,8 @@ LEAST_S = 60.0
 QUANTISED = 0.5
 """Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
 _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds.
-_FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
+_FIRST_SAMPLES = 5000  # Tell the interval where nothing else does: the median of as many is known to 2 % of the jitter.
+_MOST_STANDING = 0.05  # Share of them without a later time: the rate is off by as much, a density by half of it.
 _HOURS = 3600.0
 _SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
 # Of gravity, by which the force at rest may differ: offsets of MEMS reach 0.2 g, a wrong unit or range makes 0.5 at least.
@@ -186,43 +189,70 @@ class NoiseStream:
         self._columns = 6
         self._best: _Stretch | None = None
         self._now: _Stretch | None = None
+        self._first: list[Samples] = []
+        self._averaged = LEAST_AVERAGED
         self._waiting: list[FloatArray] = []
         self._waiting_s = 0.0
         self._splits: list[str] = []
 
     def feed(self, samples: Samples) -> None:
-        """Take the next samples."""
+        """Take the next samples.
+
+        Raises
+        ------
+        RecordingError
+            If the time of too many of the first samples stands still.
+        """
+        if self._grid is not None:
+            self._put(samples, self._grid)
+            return
+        self._first.append(samples)
+        if sum(map(len, self._first)) >= _FIRST_SAMPLES:
+            self._begin()
+
+    def _begin(self) -> EvenGrid:
+        """Find the interval, and take the samples that waited for it."""
+        step_s = np.diff(np.concatenate([block.time_s for block in self._first])[:_FIRST_SAMPLES])
+        if not len(step_s):
+            raise RecordingError(sentence("noise.no_samples"), Reason.NOT_A_RECORDING)
+        standing = float(np.mean(step_s <= 0))
+        if standing > _MOST_STANDING:
+            raise RecordingError(sentence("noise.no_rate", share=standing, limit=_MOST_STANDING), Reason.BAD_DATA)
+        self._grid = EvenGrid(self._units.interval_s or float(median(step_s)))
+        self._averaged = max(round(1 / self._grid.interval_s), LEAST_AVERAGED)
+        # An instrument without a gyroscope has NaN there all along.
+        self._columns = 6 if any(np.isfinite(block.gyroscope).any() for block in self._first) else 3
+        for block in self._first:
+            self._put(block, self._grid)
+        self._first = []
+        return self._grid
+
+    def _put(self, samples: Samples, grid: EvenGrid) -> None:
         values = np.hstack([samples.accelerometer_rate() - self._zero, samples.gyroscope_rate()]) / self._scale
-        if self._grid is None:
-            if len(samples) < _FIRST_BLOCK:
-                return
-            interval_s = self._units.interval_s or float(median(np.diff(samples.time_s)))
-            if interval_s <= 0:
-                raise RecordingError(sentence("noise.no_rate"), Reason.BAD_DATA)
-            self._grid = EvenGrid(interval_s)
-            # An instrument without a gyroscope has NaN there all along.
-            self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3
         values = values[:, : self._columns]
         good = samples.usable & np.isfinite(values).all(axis=1)
         if not good.any():
             return
-        for run in self._grid.feed(samples.time_s[good], values[good]):
-            self._take(run, self._grid.interval_s)
+        for run in grid.feed(samples.time_s[good], values[good]):
+            self._take(run, grid)
 
     def finish(self) -> NoiseResult:
         """Return what the longest undisturbed stretch shows.
 
         Raises
         ------
+        RecordingError
+            If there are no samples, or no rate is known.
         CalibrationError
             If no stretch is long enough to say anything.
         """
+        grid = self._grid or self._begin()
         self._end_run()
-        best = self._best
-        if best is None or best.stream.samples < LEAST_SAMPLES or best.duration_s < LEAST_S:
+        best, least = self._best, max(LEAST_SAMPLES, round(LEAST_S / grid.interval_s))
+        if best is None or best.stream.samples < least:
             longest_s = 0.0 if best is None else best.duration_s
-            short = sentence("noise.too_short", longest_s=longest_s, least_s=LEAST_S, least_samples=LEAST_SAMPLES)
-            raise CalibrationError(short, Reason.TOO_FEW)
+            told = {"longest_s": longest_s, "least_s": least * grid.interval_s, "rate_hz": 1 / grid.interval_s}
+            raise CalibrationError(sentence("noise.too_short", **told), Reason.TOO_FEW)
         allan = best.stream.finish()
         raw = {"accelerometer": self._units.accelerometer_rate_unit, "gyroscope": self._units.gyroscope_rate_unit}
         si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
@@ -249,39 +279,37 @@ class NoiseStream:
             sentences=tuple(sentences),
         )
 
-    def _take(self, run: EvenRows, interval_s: float) -> None:
-        """Take even rows: whole seconds go into the stretch, which ends where the unit was moved; the rest waits."""
+    def _take(self, run: EvenRows, grid: EvenGrid) -> None:
+        """Take even rows: whole means go into the stretch, which ends where the unit was moved; the rest waits."""
         if run.broken:
             self._end_run()
-            self._splits.append(sentence("noise.missing_samples", bridged_s=BRIDGED_S, at_s=run.start_s))
+            self._splits.append(sentence("noise.missing_samples", bridged_s=grid.bridged_s, at_s=run.start_s))
         if not self._waiting:
             self._waiting_s = run.start_s
-        self._waiting.append(run.rows)
-        second = max(round(1 / interval_s), 1)
-        if sum(len(part) for part in self._waiting) < second:
+        self._waiting.append(np.column_stack([run.rows, run.bridged]))
+        if sum(len(part) for part in self._waiting) < self._averaged:
             return
         joined = np.concatenate(self._waiting)
-        whole = len(joined) // second * second
-        seconds = joined[:whole].reshape(-1, second, self._columns)
+        whole = len(joined) // self._averaged * self._averaged
+        parts = joined[:whole].reshape(-1, self._averaged, self._columns + 1)
+        averaged_s = self._averaged * grid.interval_s
         begin = 0
-        for k, mean in enumerate(seconds[:, :, :3].mean(axis=1)):
-            at_s = self._waiting_s + k * second * interval_s
+        for k, mean in enumerate(parts[:, :, :3].mean(axis=1)):
             if self._now is not None and self._now.is_moved(mean):
-                self._now.feed(seconds[begin:k].reshape(-1, self._columns))
-                self._splits.append(sentence("noise.moved", at_s=at_s))
+                self._now.feed(parts[begin:k].reshape(-1, self._columns + 1))
+                self._splits.append(sentence("noise.moved", at_s=self._waiting_s + k * averaged_s))
                 self._end_stretch()
                 begin = k
             if self._now is None:
-                self._now = _Stretch(AllanStream(interval_s, self._columns), interval_s)
+                self._now = _Stretch(AllanStream(grid.interval_s, self._columns), averaged_s)
             self._now.follow(mean)
         if self._now is not None:
-            self._now.feed(seconds[begin:].reshape(-1, self._columns))
-            self._now.bridged += run.bridged
+            self._now.feed(parts[begin:].reshape(-1, self._columns + 1))
         self._waiting = [joined[whole:]]
-        self._waiting_s += whole * interval_s
+        self._waiting_s += whole * grid.interval_s
 
     def _end_run(self) -> None:
-        """End the stretch; the second that was not full is given up."""
+        """End the stretch; the mean that was not full is given up."""
         self._waiting = []
         self._end_stretch()
 
@@ -294,14 +322,16 @@ class NoiseStream:
 class _Stretch:
     """One undisturbed stretch."""
 
-    def __init__(self, stream: AllanStream, interval_s: float) -> None:
+    def __init__(self, stream: AllanStream, averaged_s: float) -> None:
         self.stream = stream
-        self.interval_s = interval_s
+        self.interval_s = stream.interval_s
         self.bridged = 0
         self.step = np.full(stream.columns, np.inf)
+        self.changes = 0
         self.squares = np.zeros(stream.columns)
+        self._last = np.empty((0, stream.columns + 1))
         self._reference: FloatArray | None = None
-        self._seconds = 0
+        self._means, self._most_means = 0, max(round(REFERENCE_S / averaged_s), 1)
 
     @property
     def duration_s(self) -> float:
@@ -314,27 +344,33 @@ class _Stretch:
         return math.nan if self._reference is None else float(np.linalg.norm(self._reference))
 
     def is_moved(self, mean: FloatArray) -> bool:
-        """Whether the mean of a second (3,) is that of a unit that was moved."""
+        """Whether the mean of a second or more (3,) is that of a unit that was moved."""
         if self._reference is None:
             return False
         return float(np.abs(mean - self._reference).max()) > MOVED * self.mean_force
 
     def follow(self, mean: FloatArray) -> None:
-        """Let the reference follow the mean of a second."""
-        self._seconds = min(self._seconds + 1, int(REFERENCE_S))
+        """Let the reference follow such a mean."""
+        self._means = min(self._means + 1, self._most_means)
         # A mean over the first minute, then an exponential one.
         before = mean if self._reference is None else self._reference
-        self._reference = before + (mean - before) / self._seconds
+        self._reference = before + (mean - before) / self._means
 
     def feed(self, rows: FloatArray) -> None:
-        """Take even rows."""
+        """Take even rows, each with whether it is bridged behind it, shape (n, c + 1)."""
         if not len(rows):
             return
-        change = np.abs(np.diff(rows, axis=0))
+        # From the row before, which may have come with another block.
+        values, bridged = np.split(np.vstack([self._last, rows]), [self.stream.columns], axis=1)
+        self._last = rows[-1:]
+        self.bridged += int(rows[:, -1].sum())
+        # A straight line has neither the scatter nor the steps of the output.
+        change = np.abs(np.diff(values, axis=0))[(bridged[1:] + bridged[:-1])[:, 0] == 0]
+        self.changes += len(change)
         self.squares += np.sum(change**2, axis=0)
         change[change == 0] = np.inf  # the smallest step is that of an output that changed
         self.step = np.minimum(self.step, change.min(axis=0, initial=np.inf))
-        self.stream.feed(rows)
+        self.stream.feed(rows[:, :-1])
 
 
 def measure_noise(
@@ -380,7 +416,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
     low, high = deviation_limits_95(deviation, freedom)
     step = float(best.step[column])
     # Differences of neighbours have twice the variance of a sample, and no drift.
-    sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
+    sigma = math.sqrt(best.squares[column] / max(2 * best.changes, 1))
     quantised = math.isfinite(step) and sigma < QUANTISED * step
     model = None
     if len(deviation) >= _IDENTIFIED_POINTS and deviation.min() > 0:

@@ -15,12 +15,12 @@ import pytest
 from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise import allan
 from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom
-from imufield.calibrate.noise.noise import NoiseStream, measure_noise
+from imufield.calibrate.noise.noise import measure_noise
 from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
-from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from imufield.samples import FloatArray, Samples, SampleUnits, concatenate, make_samples
 from tests.refused import refused
 from tests.told import told
 
@@ -136,6 +136,11 @@ def test_times_that_repeat_tell_no_rate() -> None:
     coarse = make_samples(np.floor(samples.time_s), samples.accelerometer, samples.gyroscope, units=SampleUnits())
     with refused(RecordingError, Reason.BAD_DATA, key="noise.no_rate"):
         measure_noise([coarse])
+    # Stamps of whole milliseconds at 1600 Hz: three of eight samples have the time of the one before, and 1 ms is no interval.
+    with refused(RecordingError, Reason.BAD_DATA, "38%", key="noise.no_rate"):
+        samples = at_rest(1600.0, 8000)
+        samples.time_s[:] = np.floor(samples.time_s * 1000) / 1000
+        measure_noise([samples])
 
 
 def test_too_short_is_said() -> None:
@@ -150,8 +155,9 @@ def test_too_short_is_said() -> None:
         measure_noise(standstill(0.01))
     assert caught.value.values["longest_s"] < 60
     assert caught.value.reason is Reason.TOO_FEW
-    with refused(RecordingError, Reason.NOT_A_RECORDING, key="noise.no_samples"):
-        measure_noise([])
+    for blocks in ([], [at_rest(20.0, 1)]):
+        with refused(RecordingError, Reason.NOT_A_RECORDING, key="noise.no_samples"):
+            measure_noise(blocks)
 
 
 def test_quantisation_is_said() -> None:
@@ -214,15 +220,99 @@ def test_losses_are_bridged_or_cut() -> None:
     assert result.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
 
 
-def test_blocks_do_not_matter() -> None:
-    a, b = measure_noise(standstill(0.1)), NoiseStream(SampleUnits())
-    samples = list(standstill(0.1))
-    for block in samples:
-        for first in range(0, len(block), 333):
-            b.feed(block[slice(first, first + 333)])
-    found = b.finish()
-    assert found.samples == a.samples
-    assert found.axes[4].deviation == pytest.approx(a.axes[4].deviation, rel=1e-9)
+def at_rest(rate_hz: float, n: int, scatter: float = 1e-3, seed: int = 0) -> Samples:
+    """Return white noise of one scatter on all axes."""
+    values = np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]) + scatter * np.random.default_rng(seed).standard_normal((n, 6))
+    return make_samples(np.arange(n) / rate_hz, values[:, :3], values[:, 3:], units=SampleUnits())
+
+
+def in_blocks(samples: Samples, size: int) -> list[Samples]:
+    return [samples[slice(first, first + size)] for first in range(0, len(samples), size)]
+
+
+@pytest.mark.parametrize("size", [1, 2, 20, 333, 8000])
+def test_blocks_do_not_matter(size: int) -> None:
+    # Steps, an unsteady clock, losses, a time that stands and a move: whatever may look at the sample before.
+    rng, samples = np.random.default_rng(5), at_rest(2.0, 9000, 0.006)
+    samples.time_s[:] += 2e-3 * rng.standard_normal(len(samples))
+    samples.time_s[4000] = samples.time_s[3999]
+    for triad in (samples.accelerometer, samples.gyroscope):
+        triad[:] = 0.01 * np.rint(triad / 0.01)
+    samples.accelerometer[7777:, 0] += 1.0
+    samples = samples[np.flatnonzero(rng.random(len(samples)) > 0.02)]
+    whole = measure_noise([samples])
+    found = measure_noise(in_blocks(samples, size))
+    assert [found.samples, found.bridged, found.rate_hz] == [whole.samples, whole.bridged, whole.rate_hz]
+    for one, other in zip(found.axes, whole.axes, strict=True):
+        assert one.step == other.step == pytest.approx(0.01)
+        # Levels and spread of rounded white noise: the variance of both is added.
+        assert one.density.value == other.density.value == pytest.approx(math.hypot(0.006, 0.01 / 12**0.5) / 2**0.5, rel=0.1)
+        assert one.deviation == pytest.approx(other.deviation, rel=1e-12)
+    assert [told(found.sentences, key)[0] for key in ("noise.moved", "noise.bridged")]
+
+
+def test_a_line_over_a_loss_has_no_steps() -> None:
+    samples = at_rest(20.0, 4000, 0.003)
+    samples.accelerometer[:] = 0.01 * np.rint(samples.accelerometer / 0.01)
+    result = measure_noise([samples[np.flatnonzero(np.arange(4000) % 7 != 0)]])
+    # Half a step between two values would be taken for the step of the output.
+    assert result.bridged > 500
+    for axis in result.triad("accelerometer"):
+        assert axis.step == pytest.approx(0.01)
+        assert told(axis.sentences, "noise.quantised")
+
+
+@pytest.mark.parametrize("is_copy", [True, False])
+def test_a_time_that_stands_for_a_sample_ends_nothing(is_copy: bool) -> None:
+    samples = at_rest(100.0, 20_000)
+    if is_copy:
+        samples = concatenate([samples[:10_001], samples[10_000:]])
+    else:
+        samples.time_s[10_001] = samples.time_s[10_000]
+    result = measure_noise([samples])
+    assert result.samples == 20_000
+    # A sample whose time came late is on a line; of one that was sent twice nothing is missing.
+    assert result.bridged == (0 if is_copy else 1)
+    assert not told(result.sentences, "noise.missing_samples")
+    assert result.values("gyroscope", "density") == pytest.approx([1e-4] * 3, rel=0.03)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 1.0, 0.5, 0.2])
+@pytest.mark.parametrize("jitter_s", [0.0, 2e-3])
+def test_slow_instruments_are_measured(rate_hz: float, jitter_s: float) -> None:
+    # Single samples of such an instrument scatter by a third of what tells a move.
+    samples = at_rest(rate_hz, 4000, 0.017)
+    samples.time_s[:] += jitter_s * np.random.default_rng(1).standard_normal(4000)
+    result = measure_noise(in_blocks(samples, 3))
+    assert not told(result.sentences, "noise.moved")
+    assert not told(result.sentences, "noise.missing_samples")
+    assert result.samples == 4000
+    assert result.rate_hz == pytest.approx(rate_hz, rel=1e-3)
+    assert result.values("accelerometer", "density") == pytest.approx([0.017 / math.sqrt(rate_hz)] * 3, rel=0.05)
+    # Two lost samples are on a line, three are a gap.
+    for lost in (2, 3):
+        holed = measure_noise([samples[np.r_[0:900, 900 + lost : 4000]]])
+        gaps = [told["bridged_s"] for told in (each.values for each in told(holed.sentences, "noise.missing_samples"))]
+        assert gaps == pytest.approx([] if lost == 2 else [max(1.0, 3.5 / rate_hz)], rel=1e-3)
+        assert holed.bridged == (2 if lost == 2 else 0)
+
+
+def test_a_slow_unit_that_was_moved_is_cut() -> None:
+    samples = at_rest(0.2, 4000)
+    samples.accelerometer[1500:, 0] += 9.8 * np.sin(np.radians(1.0))
+    result = measure_noise([samples])
+    (moved,) = told(result.sentences, "noise.moved")
+    assert moved.values["at_s"] == pytest.approx(7500, abs=50)
+    assert result.samples == 2500
+
+
+@pytest.mark.parametrize(("rate_hz", "least_s"), [(100.0, 60.0), (2.0, 500.0), (0.2, 5000.0)])
+def test_the_least_length_is_that_of_the_rate(rate_hz: float, least_s: float) -> None:
+    least = round(least_s * rate_hz)
+    assert measure_noise([at_rest(rate_hz, least)]).duration_s == pytest.approx(least_s)
+    with refused(CalibrationError, Reason.TOO_FEW, f"{least_s:.0f} s", f"{rate_hz:g} Hz", key="noise.too_short") as caught:
+        measure_noise([at_rest(rate_hz, least - 1)])
+    assert caught.value.values["least_s"] == pytest.approx(least_s)
 
 
 def test_an_accelerometer_alone() -> None:
@@ -315,7 +405,7 @@ def test_even_grid() -> None:
     later.feed(np.array([0.0]), np.array([[0.0]]))
     (run,) = later.feed(np.array([0.4]), np.array([[4.0]]))
     assert run.rows[:, 0] == pytest.approx([1, 2, 3, 4])
-    assert run.bridged == 3
+    assert run.bridged.tolist() == [True, True, True, False]
     assert run.start_s == pytest.approx(0.1)
     (back,) = later.feed(np.array([0.1]), np.array([[7.0]]))
     assert back.broken
