@@ -59,6 +59,8 @@ def f_quantile(numerator: float, denominator: float, p: float) -> float:
 
 def chi_squared_tail(freedom: int, value: float) -> float:
     """Return the probability that a variable of chi squared is above ``value``."""
+    if value <= 0:
+        return 1.0
     half, odd = value / 2, freedom % 2
     # (value / 2)^k exp(-value / 2) / gamma(k + 1), k from 0 or 1/2 in steps of one up to freedom / 2 - 1; by logarithms, as one
     # factor alone may be beyond all numbers.

@@ -3,6 +3,7 @@
 Tones go to the sound card where there is a program that plays them (``pw-play``, ``paplay``, ``aplay``, ``afplay``), else
 the terminal's bell rings, in a number of strokes that tells the events apart. Speech goes to a program of the system. It
 consists of fixed words and names of positions made from the scheme; text from the wire never reaches a program.
+Programs play files; where the disk takes none, the bell rings too.
 
 A thread of its own plays: the guide never waits for a sound, and sounds that come too late are left out.
 """
@@ -19,7 +20,7 @@ import tempfile
 import threading
 import wave
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from enum import Enum
 from pathlib import Path
 
@@ -156,13 +157,14 @@ class SoundView:
 @contextmanager
 def open_sound(*, speak: bool = False) -> Iterator[SoundView]:
     """Yield a view with the means of this system: sound card or bell, and speech where asked for and installed."""
-    with tempfile.TemporaryDirectory(prefix="imufield-sound-") as folder:
-        player = _find(_PLAYERS) if _has_sound_card() else None
-        speaker = _find(_SPEAKERS) if speak else None
-        view = SoundView(
-            _card_player(player, Path(folder)) if player else _ring,
-            _speaker(speaker) if speaker else None,
-        )
+    with ExitStack() as stack:
+        play, speaker = _ring, _find(_SPEAKERS) if speak else None
+        if player := _find(_PLAYERS) if _has_sound_card() else None:
+            # A full disk ends no session: the bell rings.
+            with suppress(OSError):
+                folder = tempfile.TemporaryDirectory(prefix="imufield-sound-", ignore_cleanup_errors=True)
+                play = _card_player(player, Path(stack.enter_context(folder)))
+        view = SoundView(play, _speaker(speaker) if speaker else None)
         try:
             yield view
         finally:

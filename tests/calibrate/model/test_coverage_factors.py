@@ -43,7 +43,7 @@ def test_f(numerator: float, denominator: float) -> None:
 
 @pytest.mark.parametrize("freedom", [1, 2, 3, 8, 27, 150, 1381, 5000])
 def test_chi_squared(freedom: int) -> None:
-    for value in (1e-3, 0.5, 5.0, 40.0, 400.0):
+    for value in (0.0, 1e-3, 0.5, 5.0, 40.0, 400.0):
         expected = float(scipy.special.chdtrc(freedom, value))
         assert chi_squared_tail(freedom, value) == pytest.approx(expected, rel=1e-9, abs=1e-290)
     for p in (0.025, 0.5, 0.975):

@@ -1,3 +1,4 @@
+import errno
 import io
 import os
 import pty
@@ -155,11 +156,24 @@ def test_programs_get_our_file_and_our_words_and_nothing_else(
     assert (heard / "spd-say").read_text().split() == ["--wait", "hold"]
 
 
-def test_without_a_card_the_bell_rings_and_without_a_program_nobody_speaks(
-    programs: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+def full_disk(_cue: Cue) -> bytes:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("missing", ["card", "folder", "space"])
+def test_without_a_card_or_room_for_sounds_the_bell_rings_and_without_a_program_nobody_speaks(
+    programs: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str
 ) -> None:
-    programs()
-    monkeypatch.setenv("SSH_CONNECTION", "here there")
+    programs("pw-play")
+    room = tmp_path / "room"
+    if missing == "card":
+        monkeypatch.setenv("SSH_CONNECTION", "here there")
+    else:
+        monkeypatch.setattr("imufield.guide.view.sound._has_sound_card", lambda: True)
+        monkeypatch.setattr("tempfile.tempdir", str(room))
+    if missing == "space":
+        room.mkdir()
+        monkeypatch.setattr("imufield.guide.view.sound.tone", full_disk)
     ours, theirs = pty.openpty()
     with os.fdopen(theirs, "w") as screen, open_sound() as view:
         monkeypatch.setattr("sys.__stdout__", screen)
@@ -170,6 +184,7 @@ def test_without_a_card_the_bell_rings_and_without_a_program_nobody_speaks(
         rung += os.read(ours, 100)
     assert rung == b"\a" * Cue.ACCEPTED.strokes
     os.close(ours)
+    assert not room.exists() or not [*room.iterdir()], "the folder of sounds stays behind"
 
 
 def test_a_bell_that_goes_nowhere_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
