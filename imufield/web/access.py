@@ -102,13 +102,15 @@ class Access:
 
     def role(self, offered: Sequence[str]) -> Role | None:
         """Return what the subprotocols that a page offers let it do; compared in constant time."""
-        given = [name.removeprefix(BEFORE_TOKEN).encode() for name in offered if name.startswith(BEFORE_TOKEN)]
+        tokens = [name.removeprefix(BEFORE_TOKEN) for name in offered if name.startswith(BEFORE_TOKEN)]
         known = [
             (self.mark, Role.MARK),
             (self.watch, Role.WATCH),
             # A copy: pages of other threads spend theirs meanwhile.
             *((token, role) for token, (role, made_s) in [*self._once.items()] if time.monotonic() - made_s < ONCE_S),
         ]
+        # No token has half a surrogate pair in it, nor the question mark that stands for one here.
+        given = [token.encode(errors="replace") for token in tokens]
         # All are compared with each, so that the time tells nothing.
         roles = [role for token, role in known for each in given if hmac.compare_digest(each, token.encode())]
         return Role.MARK if Role.MARK in roles else Role.WATCH if roles else None

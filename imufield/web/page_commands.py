@@ -53,7 +53,7 @@ class Sessions:
         """Return the path of a session; raises ``UsageError`` for what is no folder of the root."""
         path = self.root / _text(name)
         is_inside = real_path(path).parent == real_path(self.root) and path.name == name
-        if not (is_inside and path.is_dir()):
+        if not (is_inside and os.path.isdir(path)):  # noqa: PTH112  (a Path raises ``OSError`` for a name that is too long)
             raise UsageError(sentence("page_commands.no_session", name=name, root=self.root))
         return path
 
@@ -71,7 +71,7 @@ class Sessions:
     def file(self, path: object) -> Path:
         """Return the path of a file below the root; raises ``UsageError`` for any other."""
         found = self.root / _text(path)
-        if not (self.holds(found) and found.is_file()):
+        if not (self.holds(found) and os.path.isfile(found)):  # noqa: PTH113  (as above)
             raise UsageError(sentence("page_commands.no_file", name=path, root=self.root))
         return found
 

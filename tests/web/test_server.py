@@ -18,7 +18,7 @@ websockets = pytest.importorskip("websockets", reason="the page needs websockets
 from websockets.exceptions import ConnectionClosed, WebSocketException  # noqa: E402
 
 from imufield.web import server  # noqa: E402
-from imufield.web.access import PROTOCOL, Access, Role  # noqa: E402
+from imufield.web.access import BEFORE_TOKEN, PROTOCOL, Access, Role  # noqa: E402
 from imufield.web.board import Board  # noqa: E402
 from imufield.web.server import CLIENTS, CONNECTIONS, LARGEST_MESSAGE, SEND_TIMEOUT_S, static_files  # noqa: E402
 from tests.web.served import WAIT_S, Served, next_state, send_until_cut_off  # noqa: E402
@@ -96,6 +96,12 @@ def test_a_token_is_as_long_as_it_must_be_and_the_roles_differ(served: Served) -
     assert len({served.access.watch, served.access.mark, Access(frozenset()).watch}) == 3
     # 22 characters of six bits: 128 bits and more.
     assert len(served.access.watch) == len(served.access.mark) == 22
+
+
+def test_half_a_surrogate_pair_is_no_token() -> None:
+    access = Access(frozenset())
+    assert access.role(["token.\udcff", "token.\ud800" + access.mark]) is None
+    assert access.role(["token.\udcff", BEFORE_TOKEN + access.watch]) is Role.WATCH
 
 
 @pytest.mark.parametrize(

@@ -112,6 +112,8 @@ def test_no_folder_is_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ("import", {"new": "two", "files": ["../secret"]}), ("import", {"new": "two", "files": ["/etc/passwd"]}),
         ("import", {"new": "two", "files": ["one/led-out"]}), ("import", {"new": "two", "files": ["led-out/secret"]}),
         ("import", {"new": "two", "files": ["one"]}), ("import", {"new": "two", "files": "one/parameters.toml"}),
+        # Longer than a name on the disk may be, in bytes.
+        ("solve", {"session": "é" * 150}), ("import", {"new": "two", "files": ["é" * 150]}),
         ("import", {"new": "two"}), ("import", {"new": "two", "files": ["one/parameters.toml"], "protocol": "x.toml"}),
         # Addresses of pyserial that write files or load code, and what is no port.
         ("probe", {"port": "spy:///dev/ttyUSB0?file=/etc/x"}), ("probe", {"port": "alt:///dev/ttyUSB0?class=x"}),
