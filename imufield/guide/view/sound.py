@@ -158,7 +158,8 @@ class SoundView:
 def open_sound(*, speak: bool = False) -> Iterator[SoundView]:
     """Yield a view with the means of this system: sound card or bell, and speech where asked for and installed."""
     with ExitStack() as stack:
-        play, speaker = _ring, _find(_SPEAKERS) if speak else None
+        play: Callable[[Cue], None] = _ring
+        speaker = _find(_SPEAKERS) if speak else None
         if player := _find(_PLAYERS) if _has_sound_card() else None:
             # A full disk ends no session: the bell rings.
             with suppress(OSError):
