@@ -140,7 +140,7 @@ _FLIGHTS = ("old", "new", "turntable", "old_told", "new_told", "turntable_told")
 
 
 def run_navigation(number: int, rng: np.random.Generator) -> dict[str, Drift]:
-    """Recalibrate one instrument and let it navigate at rest, same recording for both parameter sets."""
+    """Recalibrate one instrument and let it navigate at rest, same recording for all three parameter sets."""
     recalibrated = run_recalibration(number, rng)
     heading = 30.0
     force, rate = rest_inputs(HARBIN_LATITUDE_DEG, heading)
@@ -154,7 +154,7 @@ def run_navigation(number: int, rng: np.random.Generator) -> dict[str, Drift]:
     for told in (None, np.array([0.0, 0.0, heading])):
         for vector in (recalibrated.old, recalibrated.new, recalibrated.turntable):
             shown = recover(from_vector(vector, None, BSAS_AXES), raw)[0]
-            # The same noise: one recording, two parameter sets.
+            # The same noise: one recording, three parameter sets.
             flown.append(navigate(shown, rng=np.random.default_rng(seed), attitude_rph_deg=told))
     return dict(zip(_FLIGHTS, flown, strict=True))
 

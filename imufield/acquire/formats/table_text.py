@@ -136,7 +136,7 @@ class TextTable:
         raise IndexError(f"{self.path} has no such row")
 
     def _clean(self, block: bytes) -> str:
-        """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
+        """Return lines as NumPy's parser reads them: quotes removed, points for decimal commas, "nan" in empty cells."""
         # Most files have none of these; a search is faster than a copy.
         if b'"' in block:
             block = without_quotes(block.decode("latin-1"), self.delimiter).encode("latin-1")

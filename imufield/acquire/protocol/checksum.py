@@ -31,7 +31,7 @@ Values = NDArray[np.unsignedinteger]
 Positions = NDArray[np.intp]
 
 # Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact.
-_EXACT_IN_SINGLE = 361
+_EXACT_IN_SINGLE = 362
 # Longest message that is looked up in the flat table, 2 MiB; what instruments send all the time has a few hundred bytes.
 _LONGEST_TABLE = 2048
 # Where the part of each place begins in that table, from the first byte of a message on, shape (n, 1).

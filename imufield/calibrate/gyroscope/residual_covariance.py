@@ -226,8 +226,8 @@ def _by_each(rows: FloatArray, matrices: FloatArray) -> FloatArray:
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
     """Return one step of restricted maximum likelihood towards the sizes of the scatters.
 
-    One keeps its size where it has fewer than four degrees of freedom: the parameters absorb the residuals of three moves, and
-    g-sensitivity with one heading for each still those of six stills; what is left of them is rounding.
+    A scatter with fewer than four degrees of freedom keeps its size, as only rounding is left of its residuals. The parameters
+    absorb those of three moves; g-sensitivity and a heading for each still absorb those of six stills.
     """
     P = _projection(parts.total(scatter), jacobian)
     V = np.stack([parts.drift, parts.wander, parts.turn])

@@ -58,7 +58,7 @@ class MoveReport:
     after_deg: FloatArray = field(default_factory=lambda: np.empty(0))
     """The same with the new parameters."""
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
-    """Length of the residual over its own sigma; 1.4 is typical, 4 is suspicious."""
+    """Length of the residual over its own sigma; 1.4 is typical, more than 4.5 is suspicious."""
 
     @property
     def rms_before_deg(self) -> float:

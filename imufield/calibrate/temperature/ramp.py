@@ -34,7 +34,8 @@ _FEWEST_WINDOWS = 20
 _TREND_OVER = 1 / 60  # Of the whole ramp: several steps of a coarse thermometer.
 _SAME_READING_DEGC = 1e-6
 _MOST_ALIKE = 0.5  # Of the windows read as the one before: then the steps of the thermometer are what changes.
-_STANDS = 0.002  # Of the span, in that time: a hundredth of what a steady ramp does. Then it neither rises nor falls.
+# Of the span, in the time of a trend: an eighth of what a steady ramp of an hour or more does. Below, the ramp stands.
+_STANDS = 0.002
 _LONGEST_LAG_S = 300.0
 _LAG_STEPS = 61  # 10 s apart: a parabola through three of them gives the rest.
 _TURNED = 0.05  # Rad between two windows: 3 degrees, another pose.

@@ -45,7 +45,7 @@ _FEWEST = 20  # Samples and steps of a hold; the shortest hold of the slowest in
 _POINTS = 8  # Of an interpolation: with six, a sample lost at 100 Hz is known to 1 % of a tremor at 12 Hz, with eight to 0.2 %.
 _REGULAR = 0.2  # Share of the sample interval: stamps that come closer do not tell where samples are missing.
 _BRIDGED_S = 0.04  # Samples are bridged over holes up to this long; half a period of tremor at 12 Hz.
-# Spacing of the second difference that tells a bump: it passes 30 Hz eight times better than the tremor at 10 Hz.
+# Spacing of the second difference that tells a bump: it passes 30 Hz seven times better than the tremor at 10 Hz.
 _JOLT_S = 0.01
 _ACROSS_HOLE = 1.5  # Of the usual time between three forces.
 _LEAST_SWAY_RAD = 1e-6  # The net turn about the vertical is known no better than to this.

@@ -59,10 +59,11 @@ ON_TABLE = Allowances(
     vibration_rad_s=math.radians(1.5),
     change_rad_s=math.radians(1.0),
 )
-# Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, in a cell by chance up to 10, and 1 m/s^2 where the pivot is 10 cm away; sway
-# of 1 deg below 2 Hz makes 4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must
-# keep it up for longer. A hand that sways that much exceeds the limits now and then before it has kept still for so long, and
-# is a still hand all the same: hence the reach back. What it adds of the turn, ``hand_edges`` cuts off again.
+# Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, in a cell by chance up to 10, and 1 m/s^2 where the pivot is 10 cm away. Sway of
+# 1 deg rms about each axis, from 0.1 to 2 Hz with amplitudes that fall as 1/f, makes 6 deg/s rms and changes the force by
+# 0.24 m/s^2 rms, by 0.37 and more in 5 % of the time. A slow turn is no faster than that, so the hand must keep it up for
+# longer. A hand that sways that much exceeds the limits now and then before it has kept still for so long, and is a still hand
+# all the same: hence the reach back. What it adds of the turn, ``hand_edges`` cuts off again.
 IN_HAND = Allowances(
     dwell_s=1.5,
     reach_back_s=15.0,

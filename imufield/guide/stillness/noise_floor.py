@@ -35,8 +35,9 @@ _WHITE = 2.0
 # by more than chance.
 _QUIETER = 0.5
 _NOT_LOUDER = 1.2
-# RMS of single samples above which a stretch is no noise floor: consumer MEMS show 0.12 m/s^2 and 0.01 rad/s (mikoff's
-# MPU-9150, 2000 Hz unfiltered parts), a unit in the hand 0.2 m/s^2 and 0.05 rad/s (tremor of 0.05 degree at 10 Hz).
+# RMS of single samples above which a stretch is no noise floor: three times what consumer MEMS show, 0.12 m/s^2 and 0.01 rad/s
+# (mikoff's MPU-9150, 2000 Hz unfiltered parts). The gyroscope's tells a hand, whose tremor of 0.05 degree rms at 10 Hz makes
+# 0.05 rad/s; of the force it makes 0.2 m/s^2 at 6 cm from the pivot, which may be noise.
 MAX_FLOOR_M_S2 = 0.35
 MAX_FLOOR_RAD_S = 0.035
 # Absolute straying of a cell mean that is always allowed: below what a hand can do in 3 s.

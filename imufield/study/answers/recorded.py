@@ -155,8 +155,8 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
     finder.feed(concatenate(in_si))
     found = finder.finish()
     middles: FloatArray = found.observations.start_s + found.observations.duration_s / 2
-    # Of the true stills, the stay before the first move among them, those that an observation is of: where a slow turn ends, it
-    # is still before it is over.
+    # Share of the true stills, the stay before the first move among them, in which the middle of an observation lies: it may
+    # begin before the still, as the end of a slow turn counts as still already.
     kept = float(np.mean([np.any((still.start_s <= middles) & (middles < still.end_s)) for still in operator.stills]))
     true_scale = float(np.mean(truth.gyroscope.scale)) * UNITS[unit]
     return {

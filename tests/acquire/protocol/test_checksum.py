@@ -8,7 +8,7 @@ import crccheck.crc
 import numpy as np
 import pytest
 
-from imufield.acquire.protocol.checksum import Crc, checksum_names, make_checksum
+from imufield.acquire.protocol.checksum import _EXACT_IN_SINGLE, Crc, checksum_names, make_checksum
 from imufield.errors import ProtocolError, Reason
 from tests.refused import refused
 
@@ -93,6 +93,14 @@ def test_plain_sums_agree_with_a_byte_loop(name: str, reference: object) -> None
     assert checksum.of_spans(data, starts, lengths).tolist() == wanted
     for s, n, value in zip(starts, lengths, wanted, strict=True):
         assert checksum.of_rows(data[s : s + n].reshape(1, -1)).tolist() == [value]
+
+
+def test_single_precision_is_used_as_long_as_it_is_exact() -> None:
+    checksum, longest = make_checksum("FLETCHER-16/MOD-256"), _EXACT_IN_SINGLE
+    assert 255 * longest * (longest + 1) // 2 < 2**24 <= 255 * (longest + 1) * (longest + 2) // 2
+    for length in (longest, longest + 1):
+        rows = np.random.default_rng(6).integers(253, 256, (99, length), dtype=np.uint8)
+        assert checksum.of_rows(rows).tolist() == [_fletcher(row.tobytes()) for row in rows]
 
 
 def test_no_span_gives_no_value() -> None:
