@@ -50,6 +50,21 @@ def test_every_figure_has_its_interval_and_unit_in_80_columns(tmp_path: Path, ca
     assert density == pytest.approx([1e-6 / 20**0.5] * 3, rel=0.1)
 
 
+@pytest.mark.parametrize("rate_hz", [2.0, 1.0, 0.5, 0.2])
+def test_a_slow_instrument_is_measured_or_needs_the_time_of_its_rate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rate_hz: float
+) -> None:
+    assert run(["noise", str(rest_session(tmp_path / "long", 3000 / rate_hz, rate_hz=rate_hz).folder), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["rate_hz"], found["duration_s"]) == pytest.approx((rate_hz, 3000 / rate_hz))
+    assert not any("gap" in said or "moved" in said for said in found["sentences"])
+    for triad, scatter in (("accelerometer", 1e-4), ("gyroscope", 1e-6)):
+        density = [found["axes"][f"{triad} {axis}"]["density"]["value"] for axis in "xyz"]
+        assert density == pytest.approx([scatter / rate_hz**0.5] * 3, rel=0.1)
+    short = rest_session(tmp_path / "short", 900 / rate_hz, rate_hz=rate_hz).folder
+    fails(["noise", str(short)], 6, Reason.TOO_FEW, f"{1000 / rate_hz:.0f} s", f"{rate_hz:g} Hz", key="noise.too_short")
+
+
 def test_the_newest_session_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,11 +60,12 @@ def rest_session(
     temperature_degc: float = np.nan,
     noise_m_s2: float = 1e-4,
     turned_s: float = np.inf,
+    *,
+    rate_hz: float = 20.0,
     **metadata: Any,
 ) -> Session:
     """Record an instrument at rest, level, heading east of north, with the noise of a good one."""
-    rate_hz, rng = 20.0, np.random.default_rng(1)
-    n = round(duration_s * rate_hz)
+    rng, n = np.random.default_rng(1), round(duration_s * rate_hz)
     latitude = np.radians(LATITUDE_DEG)
     north, up = EARTH_RATE_RAD_S * np.cos(latitude), EARTH_RATE_RAD_S * np.sin(latitude)
     rows: FloatArray = np.zeros((n, 8))
