@@ -375,7 +375,7 @@ def test_parameters_without_a_gyroscope_say_so_where_they_are_used(
     assert key_of(alone) == "file.not_calibrated"
     for command, *output in (("export", "--to", "json"), ("apply", str(table))):
         capsys.readouterr()
-        assert run([command, str(session / "parameters.toml"), *output, "-o", str(tmp_path / "made")]) == 0
+        assert run([command, str(session / "parameters.toml"), *output, "-o", str(tmp_path / command)]) == 0
         assert not missing(capsys.readouterr().out, *alone.split())
 
 
