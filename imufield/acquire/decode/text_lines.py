@@ -24,8 +24,8 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import PARTS, SentenceRule, TextRule
 from imufield.samples import FloatArray, IntArray, no_counters, unknown
 
-LARGEST_NUMBER = 1e17
-"""Above any counter (2**53) and any time stamp in us since 1970 (1.8e15); larger numbers, infinity and NaN are garbage."""
+LARGEST_NUMBER = 1e19
+"""Above any counter (2**53) and any time stamp in ns since 1970 (1.8e18); larger numbers, infinity and NaN are garbage."""
 LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
 

@@ -55,7 +55,7 @@ _MEAN_S = 0.1  # Shorter than any turn, longer than a tremor.
 _TURNED_RAD = 0.2
 _CORRELATED = 0.8
 _SAME_UNIT = 2.0  # Units are a factor of 57 apart.
-_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True, slots=True)

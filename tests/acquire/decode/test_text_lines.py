@@ -251,3 +251,13 @@ def test_a_long_line_is_the_same_in_pieces(size: int) -> None:
         decoder.flush()
         lost.append((decoder.statistics.samples, decoder.statistics.samples_lost))
     assert lost[0] == lost[1]
+
+
+def test_times_in_nanoseconds_since_1970_are_times() -> None:
+    decoder = Decoder(load_protocol("text", {"columns": "time,ax,ay,az", "time_unit": "ns"}))
+    begin_ns = 1_800_000_000_000_000_000
+    lines = "".join(f"{begin_ns + 10_000_000 * number},0.1,0.2,9.8\n" for number in range(50))
+    samples = concatenate([decoder.feed(lines.encode(), 0.0), decoder.flush()])
+    assert len(samples) == 50
+    # A double knows such a time to 256 ns.
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=6e-7)
