@@ -78,7 +78,7 @@ def _leave_at_once(left: list[int]) -> None:
     with suppress(OSError, ValueError):
         sys.stdout.flush()
         sys.stderr.flush()
-        # Whoever runs the module inside a script may have gone on behind it.
+        # A script that has run the module inside it may have gone on.
         if left and getattr(sys.modules["__main__"], "program", None) is program:
             os._exit(left[0])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from imufield.acquire.formats.table_columns import OF_COLUMNS
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import ApplyOptions
@@ -53,8 +54,8 @@ def run_apply(options: ApplyOptions) -> None:
     try:
         rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)
     except UsageError as error:
-        # What is to be said of a table's columns an import takes, and this command does not.
-        if "imufield import" not in error.message:
+        # Only an import has options for columns and units.
+        if getattr(error.message, "key", "") not in OF_COLUMNS:
             raise
         words = sentence("apply.by_import", error=error.message.removesuffix("."))
         raise UsageError(words, error.reason, **error.values) from error

@@ -38,8 +38,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts, RecordingError)
-    if to == "csv":
-        refuse_foreign_text(path)
+    refuse_foreign_text(path)
     protocol = session_protocol(session)
     # What was typed at the import goes before what the protocol assumes.
     stated = session.record.nominal.raw_zero

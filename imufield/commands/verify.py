@@ -160,12 +160,12 @@ def _verify(task: _Task) -> Verification:
     with naming_damage(task.session, damage):
         left_out = _left_out(task, chain, reading, problems)
         navigated = navigation.finish()
-        # Whoever took positions is not told at which of them the navigation stopped.
-        is_turned = untried or (navigated is None and left_out is not None and _is_turned(left_out))
-        if navigation.problem is not None and not is_turned:
+        # A session of positions is named as such: where the navigation stopped says nothing.
+        is_explained = untried or (navigated is None and left_out is not None and _is_turned(left_out))
+        if navigation.problem is not None and not is_explained:
             problems.append(navigation.problem)
         if left_out is None and navigated is None:
-            # A wrong unit, or gaps, cause the other problems, too.
+            # Without either there is a problem at least. A wrong unit, or gaps, cause the other problems, too.
             problems.sort(key=lambda error: error.reason not in (Reason.GRAVITY, Reason.DAMAGED))
             say_each((error.message for error in problems[1:]), err=True)
             raise problems[0]
@@ -174,7 +174,7 @@ def _verify(task: _Task) -> Verification:
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
     why_not = "verify.turned" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
-    why = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_turned else ()
+    why = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_explained else ()
     read = (*(entry.what for entry in damage), *(error.message for error in problems), *why)
     return Verification(
         parameters=parameters,
@@ -216,7 +216,7 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
 
 
 def _is_turned(found: LeftOutPositions) -> bool:
-    """Tell whether a position is neither that of the first nor the one turned over, as a standstill has no other."""
+    """Whether a position differs from the first, and from that turned over: then it is a session of positions."""
     return bool(np.any(np.abs(found.up @ found.up[0]) < np.cos(np.radians(TURNED_DEG))))
 
 

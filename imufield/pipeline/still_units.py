@@ -36,10 +36,10 @@ def with_units_of_stills(table: ImportedTable) -> ImportedTable:
         said |= _other_rate(found.scales["gyroscope"], float(table.settings["rate_hz"]), table.rows[:, 4:7])
     if found.centre_raw is not None:
         said |= {"raw_zero": sentence("still_units.raw_zero", centre=[round(each) for each in found.centre_raw.tolist()])}
-    guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
     assumptions = table.assumptions
     if "accelerometer" in said:  # A wrong unit makes gravity look small.
         assumptions = tuple(each for each in assumptions if getattr(each, "key", "") != "tables.no_gravity")
+    guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
     return replace(
         table,
         settings=table.settings | {f"{triad}_unit": unit for triad, unit in units.items()},

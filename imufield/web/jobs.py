@@ -24,7 +24,7 @@ sentence = Sentences(__package__)
 MOST_AT_ONCE = 4
 """Commands at once: an emulated instrument, a capture, and two that compute. The next one waits for its turn."""
 MOST_WAITING = 16
-"""A page asks for one thing after the other; no person makes more commands wait."""
+"""A page asks for one thing after the other: more commands than a person starts."""
 LONGEST_OUTPUT = 1 << 22
 """Characters of one line: the parameters of a thousand positions take half of it."""
 END_S = 2 * LONGEST_CLOSING_S

@@ -61,7 +61,7 @@ _SILENT.propagate = False
 
 @cache
 def static_files() -> dict[str, tuple[str, bytes]]:
-    """Return the files of the page by the path they are asked for, with type and content; else only downloads are served."""
+    """Return the files of the page by the path they are asked for, with type and content; downloads come besides."""
     folder = files(__package__ or "").joinpath("static")
     return {
         f"/{file.name}": (TYPES[file.name.rpartition(".")[2]], file.read_bytes())

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from imufield.cli.run import run
+from imufield.deliver.samples.export_data import FORMATS
+from imufield.errors import Reason
+from tests.commands.told import fails
 
 USAGE = 2
 ENDS = (" choose another output.", " choose a new file.", " choose a folder.", " in an existing folder.")
@@ -33,7 +36,7 @@ def contents(folder: Path) -> dict[str, bytes]:
         "export-data S -o S/part-001.mcap",
         "export-data S -o link",
         "export-data S -o hard",
-        "export-data S -o ok.csv",
+        *(f"export-data S -o ok.csv --to {to}" for to in FORMATS),
         "apply S/parameters.toml S -o ok.csv",
         "apply S/parameters.toml S -o S/part-001.mcap",
         "apply S/parameters.toml ok.csv -o ok.csv",
@@ -85,9 +88,9 @@ def test_the_name_tells_the_format(folder: Path, name: str, package: str, begins
     assert (folder / name.split(maxsplit=1)[0]).read_bytes().startswith(begins)
 
 
-def test_corrected_samples_are_text_and_replace_their_like(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["apply", "S/parameters.toml", "S", "-o", "s.parquet"]) == USAGE
-    assert ".csv" in capsys.readouterr().err
+def test_corrected_samples_are_text_and_replace_their_like(folder: Path) -> None:
+    fails("apply S/parameters.toml S -o s.parquet", USAGE, Reason.USAGE, key="apply.other_format")
+    assert not (folder / "s.parquet").exists()
     for _ in range(2):
         assert run(["apply", "S/parameters.toml", "S", "-o", "s.csv"]) == 0
         assert run(["export-data", "S", "-o", "s.csv"]) == 0

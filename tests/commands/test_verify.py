@@ -160,8 +160,8 @@ def test_where_nothing_can_be_checked_every_cause_is_told(
     command = ["verify", str(short / "parameters.toml"), str(moving), "-o", str(tmp_path / "found.json")]
     capsys.readouterr()
     fails(command, 6, Reason.TOO_FEW)
-    told_s = {"duration_s": 59.95, "needed_s": 660.0, "align_s": 600.0}
-    assert says(capsys.readouterr().err, "deliver.navigation", "check.too_short", **told_s)
+    values = {"duration_s": 59.95, "needed_s": 660.0, "align_s": 600.0}
+    assert says(capsys.readouterr().err, "deliver.navigation", "check.too_short", **values)
 
 
 def test_alone_it_takes_the_newest_session_and_its_parameters(

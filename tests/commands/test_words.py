@@ -165,13 +165,14 @@ def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
     assert run(["apply", parameters, str(solved_session), "-o", str(output), "--rate-hz", "50"]) == 2
 
 
-def test_a_table_that_only_an_import_can_be_told_of_is_corrected_by_way_of_it(
-    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = tmp_path / "table.csv"
+def test_a_table_that_only_an_import_can_be_told_of_is_corrected_by_way_of_it(solved_session: Path, tmp_path: Path) -> None:
+    table, output = tmp_path / "table.csv", str(tmp_path / "corrected.csv")
     table.write_text("p,q,r,s\n" + "0.1,0.2,9.8,0.01\n" * 20)
-    assert run(["apply", str(solved_session), str(table), "-o", str(tmp_path / "corrected.csv")]) == 2
-    assert not missing(capsys.readouterr().err, "imufield import", "session that the import makes")
+    fails(["apply", str(solved_session), str(table), "-o", output], 2, Reason.USAGE, "imufield import", key="apply.by_import")
+    # A rate is an option of this command, too.
+    table.write_text("time_s,ax,ay,az\n" + "".join(f"{0.01 * row:.2f},0.1,0.2,9.8\n" for row in range(20)))
+    line = ["apply", str(solved_session), str(table), "-o", output, "--rate-hz", "50"]
+    fails(line, 2, Reason.USAGE, "--rate-hz", key="table_columns.other_rate")
 
 
 def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(

@@ -46,6 +46,19 @@ COUNTER = "counter"
 """What the instrument numbered its samples by; known in exports of our own only, whose flags tell of every gap."""
 FRACTION = "fraction"
 """What has passed of the second in the column of the time, in a unit of its own."""
+OF_COLUMNS = frozenset(
+    {
+        "table_columns.doubled",
+        "table_columns.missing",
+        "table_columns.narrow_header",
+        "table_columns.no_header",
+        "table_columns.no_triad",
+        "table_columns.two_units",
+        "table_columns.unknown_unit",
+    }
+)
+"""Refusals whose remedy is an option for columns or units."""
+_FRACTION_DIGITS = {"ns": 9, "us": 6}
 SKIPPED = ("-", "_", "skip")
 _NAMED_AT_ONCE = 12  # Columns that a sentence lists: as many as a person looks through.
 _EXAMPLE = "time_ms,ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps"  # A unit goes into a name.
@@ -160,10 +173,11 @@ def columns_by_header(
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     of_axes = quantity_of_file(path)
     found = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    named, no_clocks = [column for column in found if column is not None], _no_clocks(rows, width)
+    whole, part = _split_time(found, rows) or (None, None)
+    named, no_clocks = [column for column in found if column not in (None, part)], _no_clocks(rows, width, whole)
     chosen = one_of_each(named, header, text_columns, no_clocks)
-    if split := _split_time(found, rows):
-        chosen = sorted([*split, *(column for column in chosen if column.field != TIME)], key=lambda column: column.index)
+    if part is not None and whole in chosen:
+        chosen.insert(chosen.index(whole) + 1, replace(part, field=FRACTION))
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
         chosen += [TableColumn(index=header.index(name), field=name) for name in (STATUS, COUNTER)]
@@ -178,27 +192,27 @@ def columns_by_header(
     return _checked(path, chosen, tuple(said), header)
 
 
-def _no_clocks(rows: Sequence[Sequence[str]], width: int) -> set[int]:
-    """Return which columns have the same, or nothing, in some of these rows."""
-    cells = [[row[column].lower() for row in rows if column < len(row)] for column in range(width)]
+def _no_clocks(rows: Sequence[Sequence[str]], width: int, whole: TableColumn | None) -> set[int]:
+    """Return which columns have the same, or nothing, in some of these rows; ``whole`` has its fraction in the next one."""
+
+    def cell(row: Sequence[str], column: int) -> str:
+        return " ".join(row[column : column + 2]) if whole is not None and column == whole.index else row[column].lower()
+
+    cells = [[cell(row, column) for row in rows if column < len(row)] for column in range(width)]
     return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
 
 
-def _split_time(columns: Sequence[TableColumn | None], rows: Sequence[Sequence[str]]) -> list[TableColumn]:
-    """Return the column of whole seconds and that of their fraction, as ROS writes its stamps; none where there are none."""
+def _split_time(columns: Sequence[TableColumn | None], rows: Sequence[Sequence[str]]) -> tuple[TableColumn, TableColumn] | None:
+    """Return the column of whole seconds and that of their fraction, as ROS writes its stamps; None where there are none."""
     for whole, part in pairwise(columns):
-        if whole is None or part is None or (whole.field, whole.unit, part.unit) not in ((TIME, "s", "ns"), (TIME, "s", "us")):
+        if whole is None or part is None or part.unit not in _FRACTION_DIGITS or (whole.field, whole.unit) != (TIME, "s"):
             continue
-        pairs = [
-            tuple(row[each].removesuffix(".0") for each in (whole.index, part.index)) for row in rows if part.index < len(row)
-        ]
-        are_whole = all(seconds.isdecimal() and fraction.isdecimal() for seconds, fraction in pairs)
-        are_parts = are_whole and all(int(fraction) * SECONDS[str(part.unit)] < 1.0 for _, fraction in pairs)
-        # A stamp that was never set stands still.
-        is_clock = are_parts and len({*pairs}) == len(pairs)
-        if is_clock and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
-            return [whole, replace(part, field=FRACTION)]
-    return []
+        digits = _FRACTION_DIGITS[part.unit]
+        pairs = [[row[each].removesuffix(".0") for each in (whole.index, part.index)] for row in rows if part.index < len(row)]
+        are_parts = all(seconds.isdecimal() and rest.isdecimal() and len(rest) <= digits for seconds, rest in pairs)
+        if are_parts and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
+            return whole, part
+    return None
 
 
 def with_whole_times(meaning: Meaning, values: FloatArray) -> tuple[Meaning, FloatArray]:
@@ -207,8 +221,9 @@ def with_whole_times(meaning: Meaning, values: FloatArray) -> tuple[Meaning, Flo
     if FRACTION not in fields:
         return meaning, values
     time, part = fields.index(TIME), fields.index(FRACTION)
-    rows = values.copy()
-    rows[:, time] += rows[:, part] * SECONDS[meaning.units[FRACTION]]
+    rows, part_s = values.copy(), values[:, part] * SECONDS[meaning.units[FRACTION]]
+    # What reaches a second is no part of one, but the time in another unit.
+    rows[:, time] = part_s if (part_s >= 1.0).any() else rows[:, time] + part_s
     columns = tuple(column for column in meaning.columns if column.field != FRACTION)
     return replace(meaning, columns=columns), np.delete(rows, part, axis=1)
 

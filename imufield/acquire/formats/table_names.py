@@ -200,7 +200,7 @@ def quantity_of_file(path: Path) -> str:
 
 
 def stamp_of_measurement(columns: Sequence[TableColumn], no_clocks: Collection[int]) -> TableColumn | None:
-    """Return the time at which samples were measured, if one column has it alone; one in parts, s and ns, is none."""
+    """Return the time at which samples were measured, if one column has it alone."""
     found = [column for column in columns if column.name in _STAMPS and column.index not in no_clocks]
     return found[0] if len(found) == 1 else None
 

@@ -65,9 +65,9 @@ LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 NO_POSITIONS = frozenset({"tables.no_accelerometer", "tables.no_gravity"})
 """Sentences about a table in which there will be no positions."""
-# Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole, and
-# of what is none, such as volts, a smaller one is motion without gravity.
+# Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole.
 _LEAST_GRAVITY = 0.05
+# Median magnitude of outputs that are in no known unit and no counts: less is motion, unless stills agree on gravity.
 _LEAST_FRACTION = 0.25
 _INCREMENTS = {"m/s", "rad"}  # Units that say so themselves.
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.

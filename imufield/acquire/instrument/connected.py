@@ -118,7 +118,7 @@ class Connected:
         where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
         virtual: dict[str, object] = {"is_virtual": True} if self.is_virtual else {}
         instrument = {"driver": self.driver, "model": self.model, **self.identity}
-        # In every file and picture to come: none of them is of a real instrument.
+        # In the model, so that every file and report made from it says so.
         instrument["model"] += " (emulated)" if self.is_virtual else ""
         return {
             "instrument": instrument,

@@ -15,7 +15,7 @@ from imufield.errors import LinkError, Reason
 RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.
 _BETWEEN_TRIES_S = 0.1  # The caller still sees Ctrl-C and draws its screen.
 SILENCE_S = 2.0
-"""Real time without a byte after which a person is told: what positions are measured with sends ten times a second and more."""
+"""Real time without a byte after which a person is told: instruments that measure positions send ten times a second or more."""
 
 
 class ReconnectingLink:

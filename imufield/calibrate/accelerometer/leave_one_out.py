@@ -118,7 +118,7 @@ class PositionPair:
 def position_pairs(spread: Influence) -> tuple[PositionPair, ...]:
     """Return the pairs that carry a coordinate between them, and that no other position checks.
 
-    Of those in which one position gives most, the pair with the largest share: any other would carry nearly as much with it.
+    Where one position carries a coordinate with any other, only its pair of the largest share is returned.
     """
     h, found = spread.leverage, dict[tuple[int, int], PositionPair]()
     for i, j in combinations(range(len(h)), 2):
@@ -127,8 +127,9 @@ def position_pairs(spread: Influence) -> tuple[PositionPair, ...]:
         share = spread.share[i] + spread.share[j]
         if followed > PAIR_LEVERAGE and share.max() > PAIR_SHARE:
             k = int(share.argmax())
-            pair, most = PositionPair((i, j), k, float(share[k])), i if spread.share[i, k] > spread.share[j, k] else j
-            found[most, k] = max(found.get((most, k), pair), pair, key=lambda each: each.share)
+            pair, carrier = PositionPair((i, j), k, float(share[k])), i if spread.share[i, k] > spread.share[j, k] else j
+            if (carrier, k) not in found or pair.share > found[carrier, k].share:
+                found[carrier, k] = pair
     return tuple(found.values())
 
 

@@ -194,8 +194,8 @@ def arranged_inverse(moves: Moves, up: FloatArray) -> FloatArray:
     before, after, permutations = up[moves.before], up[moves.after], signed_permutations()
     needed = np.arctan2(np.linalg.norm(cross(before, after), axis=1), np.sum(before * after, axis=1)).sum()
     scales = np.linalg.norm(turns, axis=2).sum() / max(float(needed), 1e-9) / _TURNS_OF_UP
-    each = [misfits_rad(turns, before, after, permutations=permutations, scales=scale[None]) for scale in scales]
-    squares = np.array([np.sum(misfits**2, axis=(0, 1)) for misfits in each])
+    misfits = (misfits_rad(turns, before, after, permutations=permutations, scales=scale[None]) for scale in scales)
+    squares = np.vstack([np.sum(each**2, axis=1) for each in misfits])
     row, column = np.unravel_index(int(squares.argmin()), squares.shape)
     return np.asarray(permutations[column] / scales[row])
 

@@ -241,7 +241,7 @@ def signed_permutations() -> FloatArray:
 def misfits_rad(
     turns_raw: FloatArray, before: FloatArray, after: FloatArray, *, permutations: FloatArray, scales: FloatArray
 ) -> FloatArray:
-    """Return how far directions fixed in the room end from where they are after turns, in each of the m moves.
+    """Return the angles between directions fixed in the room and where turns carry them, in each of the m moves.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Noise of an instrument from hours of standstill: what ``imufield noise`` finds.
 
-Samples go onto an even grid (lost ones are bridged by a straight line up to 1 s, and counted), the longest stretch in which
-nothing was moved goes into the Allan deviation, and each axis is identified by itself. Memory does not grow with the length,
-and the result does not depend on how the samples were cut into blocks.
+Samples go onto an even grid: lost ones are bridged by a straight line up to 1 s or two samples, and counted. The longest
+stretch in which nothing was moved goes into the Allan deviation, and each axis is identified by itself. Memory does not grow
+with the length, and the result does not depend on how the samples were cut into blocks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ sentence = Sentences(__package__)
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
 LEAST_AVERAGED = 10
-"""Samples in such a mean, which of a slow instrument takes longer: single ones scatter by up to 5 mg."""
+"""Samples in such a mean at least: below 10 Hz it covers more than a second, as single samples scatter by up to 5 mg."""
 REFERENCE_S = 60.0
 """The mean that a second is compared with follows the last minute: warm-up passes, a touch does not."""
 LEAST_SAMPLES = 1000
@@ -212,7 +212,7 @@ class NoiseStream:
 
     def _begin(self) -> EvenGrid:
         """Find the interval, and take the samples that waited for it."""
-        step_s = np.diff(np.concatenate([block.time_s for block in self._first])[:_FIRST_SAMPLES])
+        step_s = np.diff(np.concatenate([np.empty(0), *(block.time_s for block in self._first)])[:_FIRST_SAMPLES])
         if not len(step_s):
             raise RecordingError(sentence("noise.no_samples"), Reason.NOT_A_RECORDING)
         standing = float(np.mean(step_s <= 0))
@@ -248,7 +248,9 @@ class NoiseStream:
         """
         grid = self._grid or self._begin()
         self._end_run()
-        best, least = self._best, max(LEAST_SAMPLES, round(LEAST_S / grid.interval_s))
+        # Only whole means count.
+        least = -(-max(LEAST_SAMPLES, round(LEAST_S / grid.interval_s)) // self._averaged) * self._averaged
+        best = self._best
         if best is None or best.stream.samples < least:
             longest_s = 0.0 if best is None else best.duration_s
             told = {"longest_s": longest_s, "least_s": least * grid.interval_s, "rate_hz": 1 / grid.interval_s}
@@ -350,14 +352,14 @@ class _Stretch:
         return float(np.abs(mean - self._reference).max()) > MOVED * self.mean_force
 
     def follow(self, mean: FloatArray) -> None:
-        """Let the reference follow such a mean."""
+        """Let the reference follow the mean of the next samples, shape (3,)."""
         self._means = min(self._means + 1, self._most_means)
         # A mean over the first minute, then an exponential one.
         before = mean if self._reference is None else self._reference
         self._reference = before + (mean - before) / self._means
 
     def feed(self, rows: FloatArray) -> None:
-        """Take even rows, each with whether it is bridged behind it, shape (n, c + 1)."""
+        """Take even rows, shape (n, c + 1); the last column is 1 where a row is bridged."""
         if not len(rows):
             return
         # From the row before, which may have come with another block.
@@ -384,7 +386,7 @@ def measure_noise(
     Raises
     ------
     RecordingError
-        If there are no samples.
+        If there are fewer than two samples, or too many of the first times repeat.
     CalibrationError
         If no stretch is long enough.
     UsageError

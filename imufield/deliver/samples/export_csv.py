@@ -17,6 +17,7 @@ sentence = Sentences(__package__)
 ROWS = 2048
 """Rows that are written at once: a quarter of a megabyte of text. More is no faster."""
 _HEADER_BYTES = 1 << 10
+_OWN_BEGINNINGS = (",".join(SAMPLE_COLUMNS).encode() + b"\n", b"time_s,ax_min,")  # Of samples, and of an overview.
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
@@ -32,13 +33,13 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
 
 def refuse_foreign_text(path: Path) -> None:
     """Keep a text that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
-    first = b""
-    # What cannot be read, writing tells of.
+    begin = b""
+    # A file that cannot be read is reported when it is written.
     with suppress(OSError):
         if path.is_file():
             with open_to_read(path) as file:
-                first = file.readline(_HEADER_BYTES)
-    if first and first.rstrip() != ",".join(SAMPLE_COLUMNS).encode():
+                begin = file.read(_HEADER_BYTES)
+    if begin and b"\0" not in begin and not begin.startswith(_OWN_BEGINNINGS):
         raise UsageError(sentence("export_csv.foreign", path=path))
 
 

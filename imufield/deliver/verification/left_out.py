@@ -68,8 +68,8 @@ def _simulated_misfits(
 ) -> FloatArray:
     """Return the pooled misfit of simulated sessions whose noise is as the calibration states, shape (RUNS,).
 
-    Every position is in one of the groups that are left out together; so many parameters are ``fitted`` to the others of each.
-    The session is linearised: residual = J z + noise.
+    Every position is in one of the groups that are left out together; ``fitted`` has the number of parameters fitted without
+    each. The session is linearised: residual = J z + noise.
     """
     p = calibration.accelerometer
     at = _derivatives(p, observations)
@@ -296,7 +296,7 @@ def cross_validate(
     observations = without_drift(observations, calibration)
     before_m_s2 = _residual_of(before, observations, calibration.gravity)
     calibration, observations = _without_higher(calibration, observations)
-    # Neither of them is fitted to a group, so the calibration may count more parameters.
+    # Groups are fitted without drift and higher terms, so the calibration may count more parameters: a fit counts them.
     m, fewest = len(observations), _again(calibration, observations).quality.parameters_fitted + 1
     # The scatter is that of the residuals: a fit with none to spare has rounding only, and so would the limit.
     most = m - fewest

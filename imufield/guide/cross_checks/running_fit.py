@@ -159,7 +159,7 @@ class RunningFit:
     def expecting(self, within_m_s2: float, scatter_m_s2: float) -> RunningFit:
         """Return the fit as it is where means are known to this much, 1 sigma, and positions turn out to differ by that.
 
-        Of few positions the usual scatter is assumed; where theirs is larger it counts all the same.
+        With few positions the usual scatter is assumed, unless theirs is larger.
         """
         expected = np.full(len(self.names), math.hypot(within_m_s2, EXPECTED_SCATTER_M_S2))
         sigma = np.maximum(_with_scatter(expected, scatter_m_s2**2), math.hypot(within_m_s2, scatter_m_s2))

@@ -152,10 +152,11 @@ class StillIntervalFinder:
             return CalibrationError(FROZEN.refusal(FLOOR_S, 0.0).words, Reason.TOO_FEW)
         if self.detector.has_waited and (axes := check_while_waiting(self.detector)).turns_ratio != 1.0:
             return CalibrationError(axes.words, Reason.UNITS)
-        if self.detector.has_waited and np.isnan(means := self.detector.waited().mean[:, :3]).all():
-            return CalibrationError(sentence("unguided.no_accelerometer"), Reason.TOO_FEW)
-        if self.detector.has_waited and self.detector.scale.is_zero(means.mean(axis=0)):
-            return CalibrationError(sentence("unguided.zero"), Reason.TOO_FEW)
+        if self.detector.has_waited:
+            means = self.detector.waited().mean[:, :3]
+            key = "unguided.no_accelerometer" if np.isnan(means).all() else "unguided.zero"
+            if np.isnan(means).all() or self.detector.scale.is_zero(means.mean(axis=0)):
+                return CalibrationError(sentence(key), Reason.TOO_FEW)
         if self.detector.has_waited and (sigma_rad_s := self._least_scatter_rad_s()):
             limit_deg_s, found_deg_s = math.degrees(MAX_FLOOR_RAD_S), math.degrees(sigma_rad_s)
             told = {"floor_s": FLOOR_S, "found_deg_s": found_deg_s, "limit_deg_s": limit_deg_s}

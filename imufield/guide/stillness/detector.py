@@ -133,7 +133,7 @@ class StillnessDetector:
         """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
         self.restart()
         self._slot = None
-        # What waits for a noise floor is of before.
+        # Cells from before must not become part of a noise floor that is measured afterwards.
         self._waiting, self._cells_waiting, self._tail = [], 0, []
 
     def judge(self, cells: Cells) -> Iterator[Judgement]:

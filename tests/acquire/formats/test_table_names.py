@@ -306,6 +306,24 @@ def test_a_stamp_in_whole_seconds_and_their_fraction_is_one_time(tmp_path: Path,
         np.testing.assert_array_equal(table.rows[:, 1:4], np.tile([0.1, 0.2, 9.8], (250, 1)))
 
 
+def test_a_time_that_reaches_a_second_is_no_fraction(tmp_path: Path) -> None:
+    lines = ["time_s,time_us,ax,ay,az", *(f"{row // 500},{2000 * row},0.1,0.2,9.8" for row in range(2000))]
+    rows = read_tables([write(tmp_path, "\n".join(lines) + "\n")]).rows
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 0.002, atol=1e-9)
+
+
+def test_a_repeated_stamp_in_parts_is_read_where_there_is_no_other(tmp_path: Path) -> None:
+    numbers = [*range(100), 99, *range(100, 250)]
+    lines = [f"{1690000000 + row // 100},{row % 100 * 10**7},0.1,0.2,9.8" for row in numbers]
+    heading = "header.stamp.sec,header.stamp.nanosec,ax,ay,az"
+    rows = read_tables([write(tmp_path, "\n".join([heading, *lines]) + "\n")]).rows
+    assert rows[-1, 0] - rows[0, 0] == pytest.approx(2.49, abs=1e-6)
+    # Beside a time that goes on it is left.
+    with_time = [f"{0.01 * row:.2f},{line}" for row, line in enumerate(lines)]
+    path = write(tmp_path, "\n".join([f"Time,{heading}", *with_time]) + "\n")
+    assert meaning_of(open_source(path, None), None, 0, 1).columns[0].index == 0
+
+
 def test_a_stamp_in_an_array_that_was_never_set_is_left(tmp_path: Path) -> None:
     path = tmp_path / "imu.npz"
     time, still = np.arange(50) * 0.01, np.zeros(50)

@@ -85,6 +85,12 @@ def test_a_row_that_lost_a_cell_is_no_shifted_one(tmp_path: Path, comment: str) 
     assert (caught.value.values["line"], caught.value.values["found"]) == (5, 4)
 
 
+def test_a_mark_of_comments_within_a_cell_is_part_of_it(tmp_path: Path) -> None:
+    lines = [f"{line},{'#1' if row == 9 else 'walk'},7" for row, line in enumerate(lines_of())]
+    path = written(tmp_path / "table.csv", "\n".join(["time_s,ax,ay,az,label,foo", *lines, ""]))
+    assert np.array_equal(read_tables([path]).rows[:, :4], ROWS)
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_a_damaged_text_of_two_bytes_is_refused(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "table.csv"
