@@ -370,8 +370,16 @@ def is_recorded(path: Path) -> bool:
 
 def refuse_what_is_no_file(path: Path) -> None:
     """Raise OSError for a folder or device, which a rename would move out of its place."""
-    if path.exists():
-        _refuse_irregular(path.stat().st_mode, path)
+    if not path.exists():
+        return
+    _refuse_irregular(path.stat().st_mode, path)
+    place = path
+    # /dev/stdout leads there, and to a file only where the shell has put one.
+    while not place.parent.resolve().is_relative_to("/proc"):
+        if not place.is_symlink():
+            return
+        place = place.parent / place.readlink()
+    _refuse_irregular(stat.S_IFIFO, path)
 
 
 def usual_mode(path: Path) -> int:

@@ -245,6 +245,19 @@ def test_only_regular_files_are_opened(tmp_path: Path, origin: Origin) -> None:
             open_to_read(path, origin)
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd/1").exists(), reason="needs the files of a process")
+def test_no_file_takes_the_place_of_a_link_to_standard_output(tmp_path: Path) -> None:
+    link = tmp_path / "stdout"
+    (tmp_path / "shell").touch()
+    # Also where the shell has put a file there.
+    with (tmp_path / "shell").open() as file:
+        link.symlink_to(f"/proc/self/fd/{file.fileno()}")
+        for path in (link, link.readlink()):
+            with pytest.raises(OSError, match="pipe or device"):
+                write_atomically(path, b"x")
+    assert link.is_symlink()
+
+
 def test_a_link_is_followed_where_a_person_or_the_user_s_own_place_has_it(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"content")
     (tmp_path / "link").symlink_to("file")

@@ -161,7 +161,8 @@ def _verify(task: _Task) -> Verification:
         left_out = _left_out(task, chain, reading, problems)
         navigated = navigation.finish()
         # A session of positions is named as such: where the navigation stopped says nothing.
-        is_explained = untried or (navigated is None and left_out is not None and _is_turned(left_out))
+        may_explain = navigated is None and left_out is not None and not task.wants_navigation
+        is_explained = untried or (may_explain and left_out is not None and _shows_positions(left_out))
         if navigation.problem is not None and not is_explained:
             problems.append(navigation.problem)
         if left_out is None and navigated is None:
@@ -215,9 +216,9 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
         return None
 
 
-def _is_turned(found: LeftOutPositions) -> bool:
-    """Whether a position differs from the first, and from that turned over: then it is a session of positions."""
-    return bool(np.any(np.abs(found.up @ found.up[0]) < np.cos(np.radians(TURNED_DEG))))
+def _shows_positions(found: LeftOutPositions) -> bool:
+    """Whether two positions at least differ from the first, and from that turned over: a standstill may be tipped once."""
+    return int(np.count_nonzero(np.abs(found.up @ found.up[0]) < np.cos(np.radians(TURNED_DEG)))) > 1
 
 
 def _observations_of(chain: Chain) -> Observations:

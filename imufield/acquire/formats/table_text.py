@@ -39,7 +39,6 @@ LINE_LIMIT_BYTES = 1 << 20
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
 # 1.009,81 and 1,009.81, 1.000.000 and 1'009; but 1,009 may be 1.009.
-_COMMENT = re.compile(r"\s#")
 _THOUSANDS = re.compile(
     r"[+-]?\d{1,3}(?:(?:['\u2019\s]\d{3})+(?:[.,]\d*)?|(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:\.\d{3}){2,}|(?:,\d{3}){2,})"
 )
@@ -178,8 +177,10 @@ class TextTable:
         return _is_row(last) and (len(cells) < self.width or not (is_number(cells[-1]) or self.width - 1 in self.text_columns))
 
     def _has_other_width(self, row: str) -> bool:
-        # What stands behind a comment mark is no cell; without a blank before it, the mark is part of one.
-        row = _COMMENT.split(row, maxsplit=1)[0] if "#" in row else row
+        before, mark, _ = row.partition("#")
+        # What stands behind a comment mark is no cell; in a column of text the mark is part of one.
+        if mark and len(split_cells(f"{before}{mark}", self.delimiter)) - 1 not in self.text_columns:
+            row = before
         # The usual case costs a tenth of a division.
         if self.delimiter is not None and row.count(self.delimiter) == self.width - 1:
             return False

@@ -135,7 +135,7 @@ def without_impossible(given: GyroscopeInput) -> GyroscopeInput:
         for k in beyond if len(beyond) <= most else ():
             told = {"triad": triad, "found": largest[k], "limit": limit, "unit": unit}
             found.setdefault(int(k), sentence("input.impossible", begin_s=moves.start_s[k], end_s=moves.end_s[k], **told))
-    if not 0 < len(found) <= most < len(moves):
+    if not 0 < len(found) < len(moves):
         return given
     out = np.isin(np.arange(len(moves)), [*found])
     left_out = list(zip(moves.start_s[out], moves.end_s[out], strict=True))

@@ -221,7 +221,8 @@ class NoiseStream:
         self._grid = EvenGrid(self._units.interval_s or float(median(step_s)))
         self._averaged = max(round(1 / self._grid.interval_s), LEAST_AVERAGED)
         # An instrument without a gyroscope has NaN there all along.
-        self._columns = 6 if any(np.isfinite(block.gyroscope).any() for block in self._first) else 3
+        gyroscope = np.concatenate([block.gyroscope for block in self._first])[:_FIRST_SAMPLES]
+        self._columns = 6 if np.isfinite(gyroscope).any() else 3
         for block in self._first:
             self._put(block, self._grid)
         self._first = []

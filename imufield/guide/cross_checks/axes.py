@@ -230,8 +230,17 @@ def _contradicted(scaled: AxesCheck, given_deg: float, ratio: float) -> AxesChec
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     """Return the arrangement of axes that fits best with a scale."""
+    check = _arrangement(moves, scale)
+    if check.agrees is not None or len(moves) < _ONE_MAY_BE_DAMAGED:
+        return check
+    # Where all moves decide nothing: one damaged sample speaks against axes that all other moves bear out.
+    spared = _arrangement(moves, scale, spared=1)
+    return check if spared.agrees is None else spared
+
+
+def _arrangement(moves: list[MoveBetweenStills], scale: float, spared: int = 0) -> AxesCheck:
     permutations = signed_permutations()
-    (misfit,) = _misfit(moves, permutations, np.array([scale]))
+    (misfit,) = _misfit(moves, permutations, np.array([scale]), spared)
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
@@ -264,10 +273,10 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     )
 
 
-def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: FloatArray) -> FloatArray:
+def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: FloatArray, spared: int = 0) -> FloatArray:
     """Return the RMS angle between predicted and measured up for each scale and permutation, rad, shape (n, 48).
 
-    Of many moves the worst does not count: one damaged sample would speak against axes that all others bear out.
+    So many moves are ``spared``: the worst of each.
     """
     # Filled up with cells that turn about nothing, all moves are one array.
     rates = np.zeros((len(moves), max(len(move.rate_raw) for move in moves), 3))
@@ -275,9 +284,7 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: Fl
         row[: len(move.rate_raw)] = move.rate_raw
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
     squares = misfits_rad(rates * CELL_S, before, after, permutations=permutations, scales=scales) ** 2
-    if len(moves) < _ONE_MAY_BE_DAMAGED:
-        return np.asarray(np.sqrt(squares.mean(axis=1)))
-    return np.asarray(np.sqrt((squares.sum(axis=1) - squares.max(axis=1)) / (len(moves) - 1)))
+    return np.asarray(np.sqrt(np.sort(squares, axis=1)[:, : len(moves) - spared].mean(axis=1)))
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:

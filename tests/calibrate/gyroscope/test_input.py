@@ -59,3 +59,19 @@ def test_a_move_with_a_damaged_sample_is_left_out_and_told(triad: str, output: f
     assert len(found.moves.after_deg) == len(moves) - 1
     change = found.calibration.parameters.g_sensitivity - whole.calibration.parameters.g_sensitivity
     assert np.abs(change / whole.calibration.sigma.g_sensitivity).max() < 1.0
+
+
+def test_moves_that_either_triad_damages_are_left_out_once_each() -> None:
+    session = simulate(3)
+    moves = session.given.moves
+    slots, few = moves.slots, len(moves) // 5
+    force, turn = slots.force.copy(), slots.turn.copy()
+    # One move is damaged in both.
+    for values, output, rows in ((force, 9.4e5, range(few)), (turn, 160.0, range(few - 1, 2 * few - 1))):
+        for k in rows:
+            values[moves.first[k] + 3] += output * slots.duration_s[moves.first[k] + 3]
+    damaged = replace(session.given, moves=replace(moves, slots=replace(slots, force=force, turn=turn)))
+    found = calibrate_gyroscope(damaged)
+    begins_s = [each.values["begin_s"] for each in told(found.reasons, "input.impossible")]
+    assert sorted(begins_s) == pytest.approx(moves.start_s[: 2 * few - 1])
+    assert len(found.moves.after_deg) == len(moves) - (2 * few - 1)

@@ -7,7 +7,7 @@ import pytest
 
 from imufield.calibrate.model.rotation import signed_permutations
 from imufield.errors import CalibrationError, Reason
-from imufield.guide.cross_checks.axes import MoveLog, axes_words, check_axes
+from imufield.guide.cross_checks.axes import MoveBetweenStills, MoveLog, axes_words, check_axes
 from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, AXES_OPEN, MOTIONLESS, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
@@ -161,6 +161,37 @@ def test_axes_that_fit_and_are_not_the_only_ones_are_called_so(make_path: Any) -
     # Reversed, they do not fit, and several others do.
     reversed_x = [dataclasses.replace(move, rate_raw=move.rate_raw * [-1, 1, 1]) for move in moves]
     assert is_said_by(AXES_OPEN, check_axes(reversed_x, 1.0).refusal)
+
+
+def made_moves(kinds: str, seed: int) -> list[MoveBetweenStills]:
+    """Return a move of 90 degrees about each of these axes of the body, up seen with an error of 3 degrees."""
+    rng, found = np.random.default_rng(seed), []
+    for kind in kinds:
+        axis, up = np.eye(3)["xyz".index(kind)], np.eye(3)[("xyz".index(kind) + 1) % 3]
+        # A direction fixed in the room turns the other way in the body.
+        seen = [each + np.radians(3.0) * rng.standard_normal(3) for each in (up, np.cross(up, axis))]
+        before, after = (each / np.linalg.norm(each) for each in seen)
+        found.append(MoveBetweenStills(before, after, np.tile(axis * np.pi / 2, (10, 1))))
+    return found
+
+
+def test_one_damaged_move_of_many_does_not_speak_against_right_axes() -> None:
+    good = made_moves("xyzxyzxyzxyz", 1)
+    assert check_axes(good, 1.0).agrees
+    damaged = [dataclasses.replace(good[0], rate_raw=np.add(good[0].rate_raw, [0.0, 25.0, 0.0])), *good[1:]]
+    assert check_axes(damaged, 1.0).agrees
+    # With few it may be the only one about its axis.
+    assert not check_axes(damaged[:6], 1.0).agrees
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_only_move_about_an_axis_shows_that_it_is_wrong(seed: int) -> None:
+    moves = made_moves("xyxyxyxyxyxyz", seed)
+    assert check_axes(moves, 1.0).agrees
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, 1, -1]) for move in moves]
+    check = check_axes(wrong, 1.0)
+    assert check.agrees is False
+    np.testing.assert_array_equal(check.permutation, np.diag([1, 1, -1]))
 
 
 def test_few_moves_tell_nothing(moves: Any) -> None:
