@@ -17,10 +17,11 @@ from imufield.cli.run import run
 from imufield.deliver.parameters.document import calibration_from_document
 from imufield.deliver.parameters.write import to_toml
 from imufield.errors import Reason
+from imufield.samples import SAMPLE_COLUMNS
 from tests.commands.told import fails, missing
 from tests.parameter_files import on_purpose
 
-OLD = b"what stood there before\n"
+OLD = f"{','.join(SAMPLE_COLUMNS)}\nwhat stood there before\n".encode()
 
 
 @pytest.fixture(scope="module")

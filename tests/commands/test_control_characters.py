@@ -125,7 +125,8 @@ def test_an_instrument_that_is_recorded(show: Show, port: str, program: Program)
         "recorded",
     )
     content = tomllib.loads((program.folder / "recorded" / "session.toml").read_text())
-    assert (content["model"], content["instrument"]["model"]) == (printable(OF_WIRE), printable(OF_WIRE))
+    emulated = f"{printable(OF_WIRE)} (emulated)"
+    assert (content["model"], content["instrument"]["model"]) == (printable(OF_WIRE), emulated)
     assert content["instrument"]["serial_number"] == printable("0100\x1b[31m")
 
 
