@@ -289,7 +289,7 @@ class NoiseStream:
             self._splits.append(sentence("noise.missing_samples", bridged_s=grid.bridged_s, at_s=run.start_s))
         if not self._waiting:
             self._waiting_s = run.start_s
-        self._waiting.append(np.column_stack([run.rows, run.bridged]))
+        self._waiting.append(np.column_stack([run.rows, run.bridged.astype(np.float64)]))
         if sum(len(part) for part in self._waiting) < self._averaged:
             return
         joined = np.concatenate(self._waiting)
