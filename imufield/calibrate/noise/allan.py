@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 
 from imufield.dataclass import dataclass
 from imufield.errors import load_package
-from imufield.samples import FloatArray, IntArray
+from imufield.samples import FloatArray, IntArray, median
 
 _BRIDGED_S = 1.0  # A longer hole ends the stretch.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, however unsteady the clock.
+_USUAL = 0.9  # Share of the steps that are off by no more than the slack.
+_WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,34 @@ class EvenRows:
     """They do not follow the rows before."""
 
 
+def interval_and_slack(step_s: FloatArray) -> tuple[float, float]:
+    """Return the interval of samples with these steps, shape (n,), and by how much of it single steps are off.
+
+    Times of whole milliseconds at 400 Hz have steps of 2 and 3 ms, whose median is no interval. Where all steps are whole
+    multiples of the median, the longer ones are losses.
+    """
+    usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
+    middle_s, mean_s = float(median(usual_s)), float(usual_s.mean())
+    if np.quantile(np.abs(usual_s / middle_s - np.rint(usual_s / middle_s)), _USUAL) < _WHOLE:
+        return middle_s, 0.0
+    slack = min(float(np.quantile(np.abs(usual_s / mean_s - 1), _USUAL)), 1.0)
+    # Lost samples make the mean too long.
+    return float(usual_s.sum() / _intervals_in(usual_s / mean_s, slack).sum()), slack
+
+
+def _intervals_in(steps: FloatArray, slack: float) -> IntArray:
+    """Return the whole number of intervals, at least 1, that steps in units of it stand for."""
+    return np.maximum(np.floor(steps + 0.5 - slack), 1).astype(np.int64)
+
+
 class EvenGrid:
     """Puts samples onto an even grid, block by block.
 
     Parameters
     ----------
     interval_s : float
+    slack : float
+        By how much of it single steps are off, as ``interval_and_slack`` finds it.
 
     Attributes
     ----------
@@ -53,8 +77,9 @@ class EvenGrid:
         The longest step from sample to sample that is bridged.
     """
 
-    def __init__(self, interval_s: float) -> None:
+    def __init__(self, interval_s: float, slack: float = 0.0) -> None:
         self.interval_s = interval_s
+        self._slack = slack
         self.bridged_s = max(_BRIDGED_S, _BRIDGED_INTERVALS * interval_s)
         self._last: tuple[float, FloatArray] | None = None
 
@@ -68,7 +93,7 @@ class EvenGrid:
         time_s, values = time_s[goes_on], values[goes_on]
         self._last = (float(time_s[-1]), values[-1])
         between = np.diff(time_s)
-        steps = np.rint(between / self.interval_s).astype(np.int64)  # an unsteady clock is no loss
+        steps = _intervals_in(between / self.interval_s, self._slack)
         breaks = np.flatnonzero((between > self.bridged_s) | (between < 0)) + 1
         runs = []
         for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
@@ -88,9 +113,9 @@ def bridge(values: FloatArray, steps: IntArray) -> tuple[FloatArray, NDArray[np.
     ----------
     values : ndarray, shape (n, c)
     steps : ndarray of int, shape (n - 1,)
-        Sample intervals from each row to the next; fewer than 1 count as 1.
+        Sample intervals from each row to the next, at least 1.
     """
-    place = np.concatenate([[0], np.cumsum(np.maximum(steps, 1))])
+    place = np.concatenate([[0], np.cumsum(steps)])
     bridged = np.ones(place[-1] + 1, dtype=np.bool_)
     bridged[place] = False
     if not bridged.any():

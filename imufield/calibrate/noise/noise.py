@@ -19,12 +19,13 @@ from imufield.calibrate.noise.allan import (
     EvenGrid,
     EvenRows,
     degrees_of_freedom,
+    interval_and_slack,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.dataclass import dataclass, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
-from imufield.samples import AXES, FloatArray, Samples, SampleUnits, median
+from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -218,7 +219,8 @@ class NoiseStream:
         standing = float(np.mean(step_s <= 0))
         if standing > _MOST_STANDING:
             raise RecordingError(sentence("noise.no_rate", share=standing, limit=_MOST_STANDING), Reason.BAD_DATA)
-        self._grid = EvenGrid(self._units.interval_s or float(median(step_s)))
+        interval_s, slack = interval_and_slack(step_s)
+        self._grid = EvenGrid(self._units.interval_s or interval_s, slack)
         self._averaged = max(round(1 / self._grid.interval_s), LEAST_AVERAGED)
         # An instrument without a gyroscope has NaN there all along.
         gyroscope = np.concatenate([block.gyroscope for block in self._first])[:_FIRST_SAMPLES]

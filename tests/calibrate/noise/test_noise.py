@@ -262,6 +262,18 @@ def test_a_line_over_a_loss_has_no_steps() -> None:
         assert told(axis.sentences, "noise.quantised")
 
 
+@pytest.mark.parametrize(("rate_hz", "tick_s", "jitter"), [(400.0, 1e-3, 0.0), (333.3, 1e-3, 0.0), (100.0, 1e-9, 0.3)])
+def test_coarse_and_unsteady_times_are_no_losses(rate_hz: float, tick_s: float, jitter: float) -> None:
+    samples = at_rest(rate_hz, 60_000)
+    times_s = samples.time_s + jitter / rate_hz * np.random.default_rng(4).standard_normal(60_000)
+    samples.time_s[:] = tick_s * np.floor(np.sort(times_s) / tick_s + 1e-6)
+    result, even = measure_noise([samples]), measure_noise([at_rest(rate_hz, 60_000)])
+    assert result.bridged < 0.005 * result.samples
+    assert result.duration_s == pytest.approx(60_000 / rate_hz, rel=5e-3)
+    found, expected = (np.array([axis.density.value for axis in each.axes]) for each in (result, even))
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
 @pytest.mark.parametrize("is_copy", [True, False])
 def test_a_time_that_stands_for_a_sample_ends_nothing(is_copy: bool) -> None:
     samples = at_rest(100.0, 20_000)
