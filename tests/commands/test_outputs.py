@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import shutil
 from pathlib import Path
 
@@ -92,6 +93,10 @@ def test_corrected_samples_are_text_and_replace_their_like(folder: Path) -> None
     fails("apply S/parameters.toml S -o s.parquet", USAGE, Reason.USAGE, key="apply.other_format")
     assert not (folder / "s.parquet").exists()
     for _ in range(2):
+        if (folder / "s.csv").exists():
+            # As a spreadsheet saves it.
+            content = (folder / "s.csv").read_bytes().replace(b"\n", b"\r\n")
+            (folder / "s.csv").write_bytes(codecs.BOM_UTF8 + content)
         assert run(["apply", "S/parameters.toml", "S", "-o", "s.csv"]) == 0
         assert run(["export-data", "S", "-o", "s.csv"]) == 0
 

@@ -178,9 +178,11 @@ class TextTable:
 
     def _has_other_width(self, row: str) -> bool:
         before, mark, _ = row.partition("#")
-        # What stands behind a comment mark is no cell; in a column of text the mark is part of one.
-        if mark and len(split_cells(f"{before}{mark}", self.delimiter)) - 1 not in self.text_columns:
-            row = before
+        # A comment follows the mark, but in a column of text it may be part of a cell.
+        is_text = bool(mark) and len(split_cells(f"{before}{mark}", self.delimiter)) - 1 in self.text_columns
+        return self._differs(before) and not (is_text and not self._differs(row))
+
+    def _differs(self, row: str) -> bool:
         # The usual case costs a tenth of a division.
         if self.delimiter is not None and row.count(self.delimiter) == self.width - 1:
             return False

@@ -28,6 +28,8 @@ _BRIDGED_S = 1.0  # A longer hole ends the stretch.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, however unsteady the clock.
 _USUAL = 0.9  # Share of the steps that are off by no more than the slack.
 _WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
+_ONE_INTERVAL = 1.7  # Of the middle step: longer ones may hold a lost sample.
+_TURNS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +44,23 @@ class EvenRows:
     """They do not follow the rows before."""
 
 
-def interval_and_slack(step_s: FloatArray) -> tuple[float, float]:
-    """Return the interval of samples with these steps, shape (n,), and by how much of it single steps are off.
+def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tuple[float, float]:
+    """Return the interval of samples with these steps, shape (n,), unless known, and what single steps are off by, part of it.
 
     Times of whole milliseconds at 400 Hz have steps of 2 and 3 ms, whose median is no interval. Where all steps are whole
     multiples of the median, the longer ones are losses.
     """
     usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
-    middle_s, mean_s = float(median(usual_s)), float(usual_s.mean())
+    middle_s = float(median(usual_s))
     if np.quantile(np.abs(usual_s / middle_s - np.rint(usual_s / middle_s)), _USUAL) < _WHOLE:
-        return middle_s, 0.0
-    slack = min(float(np.quantile(np.abs(usual_s / mean_s - 1), _USUAL)), 1.0)
-    # Lost samples make the mean too long.
-    return float(usual_s.sum() / _intervals_in(usual_s / mean_s, slack).sum()), slack
+        return known_s or middle_s, 0.0
+    interval_s, slack = known_s or float(usual_s[usual_s <= _ONE_INTERVAL * middle_s].mean()), 0.0
+    # Which steps are longer by a lost sample, and the interval, tell each other.
+    for _ in range(_TURNS):
+        steps = usual_s / interval_s
+        slack = min(float(np.quantile(np.abs(steps - np.maximum(np.rint(steps), 1)), _USUAL)), 0.5) / 2
+        interval_s = known_s or float(usual_s.sum() / _intervals_in(steps, slack).sum())
+    return interval_s, slack
 
 
 def _intervals_in(steps: FloatArray, slack: float) -> IntArray:

@@ -219,8 +219,7 @@ class NoiseStream:
         standing = float(np.mean(step_s <= 0))
         if standing > _MOST_STANDING:
             raise RecordingError(sentence("noise.no_rate", share=standing, limit=_MOST_STANDING), Reason.BAD_DATA)
-        interval_s, slack = interval_and_slack(step_s)
-        self._grid = EvenGrid(self._units.interval_s or interval_s, slack)
+        self._grid = EvenGrid(*interval_and_slack(step_s, self._units.interval_s))
         self._averaged = max(round(1 / self._grid.interval_s), LEAST_AVERAGED)
         # An instrument without a gyroscope has NaN there all along.
         gyroscope = np.concatenate([block.gyroscope for block in self._first])[:_FIRST_SAMPLES]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +18,8 @@ sentence = Sentences(__package__)
 ROWS = 2048
 """Rows that are written at once: a quarter of a megabyte of text. More is no faster."""
 _HEADER_BYTES = 1 << 10
-_OWN_BEGINNINGS = (",".join(SAMPLE_COLUMNS).encode() + b"\n", b"time_s,ax_min,")  # Of samples, and of an overview.
+_HEADING = ",".join(SAMPLE_COLUMNS).encode()
+_OWN_BEGINNINGS = (b"time_s,ax_min,", b"PAR1", b"\x89HDF", b"\x89MCAP0")  # Of an overview, and of the other formats.
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
@@ -32,14 +34,16 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
 
 
 def refuse_foreign_text(path: Path) -> None:
-    """Keep a text that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
+    """Keep a file that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
     begin = b""
     # A file that cannot be read is reported when it is written.
     with suppress(OSError):
         if path.is_file():
             with open_to_read(path) as file:
                 begin = file.read(_HEADER_BYTES)
-    if begin and b"\0" not in begin and not begin.startswith(_OWN_BEGINNINGS):
+    # A spreadsheet saves it with other line ends and with a mark of UTF-8.
+    heading = begin.removeprefix(codecs.BOM_UTF8).split(b"\n", 1)[0].rstrip()
+    if begin and heading != _HEADING and not begin.startswith(_OWN_BEGINNINGS):
         raise UsageError(sentence("export_csv.foreign", path=path))
 
 

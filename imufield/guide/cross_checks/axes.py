@@ -177,13 +177,13 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
         unknown = AxesCheck(agrees=None, permutation=np.eye(3), words=few)
         return _confused(unknown, moves, gyroscope_scale) if gyroscope_scale and len(moves) >= ENOUGH_FOR_UNITS else unknown
-    given = _arrange(moves, gyroscope_scale or _find_scale(moves))
+    given = _arrange(moves, gyroscope_scale)
     if gyroscope_scale is None and given.agrees:
         count_deg_s = math.degrees(1 / given.gyroscope_scale)
         return replace(given, words=sentence("axes.agree_with", agree=given.words, count_deg_s=count_deg_s))
     if gyroscope_scale is None or given.fits:
         return given
-    scaled = _arrange(moves, _find_scale(moves))
+    scaled = _arrange(moves, None)
     ratio = gyroscope_scale / scaled.gyroscope_scale
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
@@ -228,8 +228,8 @@ def _contradicted(scaled: AxesCheck, given_deg: float, ratio: float) -> AxesChec
     return replace(scaled, misfit_deg=given_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
 
 
-def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
-    """Return the arrangement of axes that fits best with a scale."""
+def _arrange(moves: list[MoveBetweenStills], scale: float | None) -> AxesCheck:
+    """Return the arrangement of axes that fits best with a scale; None: with the one that fits best."""
     check = _arrangement(moves, scale)
     if check.agrees is not None or len(moves) < _ONE_MAY_BE_DAMAGED:
         return check
@@ -238,8 +238,8 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     return check if spared.agrees is None else spared
 
 
-def _arrangement(moves: list[MoveBetweenStills], scale: float, spared: int = 0) -> AxesCheck:
-    permutations = signed_permutations()
+def _arrangement(moves: list[MoveBetweenStills], scale: float | None, spared: int = 0) -> AxesCheck:
+    permutations, scale = signed_permutations(), scale or _find_scale(moves, spared)
     (misfit,) = _misfit(moves, permutations, np.array([scale]), spared)
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
@@ -287,7 +287,7 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: Fl
     return np.asarray(np.sqrt(np.sort(squares, axis=1)[:, : len(moves) - spared].mean(axis=1)))
 
 
-def _find_scale(moves: list[MoveBetweenStills]) -> float:
+def _find_scale(moves: list[MoveBetweenStills], spared: int) -> float:
     """Return the common scale (raw per rad/s) with which some permutation brings the moves together best."""
     permutations = signed_permutations()
     turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
@@ -295,12 +295,12 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     typical = max(float(median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
-    misfit = _misfit(few, permutations, candidates)
+    misfit = _misfit(few, permutations, candidates, spared)
     row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
     step = candidates[0] / candidates[1]
     finer = candidates[row] * np.geomspace(1 / step, step, _SCALES)
     best = permutations[column : column + 1]
-    return float(finer[np.argmin(_misfit(few, best, finer))])
+    return float(finer[np.argmin(_misfit(few, best, finer, spared))])
 
 
 def axes_words(permutation: FloatArray) -> str:

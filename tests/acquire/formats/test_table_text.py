@@ -85,6 +85,15 @@ def test_a_row_that_lost_a_cell_is_no_shifted_one(tmp_path: Path, comment: str) 
     assert (caught.value.values["line"], caught.value.values["found"]) == (5, 4)
 
 
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+def test_comments_stand_beside_columns_of_text(tmp_path: Path, delimiter: str) -> None:
+    lines = [f"a{delimiter}{line}{delimiter}walking" for line in lines_of(delimiter)]
+    lines[20] += f" # moved{delimiter}then still"
+    lines.insert(9, "# moved")
+    path = written(tmp_path / "table.csv", "\n".join([delimiter.join(["label", *UNITS.split(","), "note"]), *lines, ""]))
+    assert np.array_equal(read_tables([path]).rows[:, :4], ROWS)
+
+
 def test_a_mark_of_comments_within_a_cell_is_part_of_it(tmp_path: Path) -> None:
     lines = [f"{line},{'#1' if row == 9 else 'walk'},7" for row, line in enumerate(lines_of())]
     path = written(tmp_path / "table.csv", "\n".join(["time_s,ax,ay,az,label,foo", *lines, ""]))

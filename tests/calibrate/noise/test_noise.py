@@ -14,7 +14,7 @@ import pytest
 
 from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise import allan
-from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom
+from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, interval_and_slack
 from imufield.calibrate.noise.noise import measure_noise
 from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
@@ -262,7 +262,21 @@ def test_a_line_over_a_loss_has_no_steps() -> None:
         assert told(axis.sentences, "noise.quantised")
 
 
-@pytest.mark.parametrize(("rate_hz", "tick_s", "jitter"), [(400.0, 1e-3, 0.0), (333.3, 1e-3, 0.0), (100.0, 1e-9, 0.3)])
+@pytest.mark.parametrize("lost", [0.01, 0.2])
+@pytest.mark.parametrize("is_known", [False, True])
+def test_losses_of_an_unsteady_clock_are_bridged(lost: float, is_known: bool) -> None:
+    samples, rng = at_rest(100.0, 60_000), np.random.default_rng(5)
+    samples.time_s[:] += 0.001 * rng.uniform(-1, 1, 60_000)
+    kept = rng.random(60_000) >= lost
+    kept[[0, -1]] = True
+    known_s = 0.01 if is_known else None
+    assert interval_and_slack(np.diff(samples.time_s[kept])[:5000], known_s)[0] == pytest.approx(0.01, rel=2e-3)
+    result = measure_noise([samples[np.flatnonzero(kept)]])
+    assert result.bridged == pytest.approx(60_000 - kept.sum(), rel=0.02)
+    assert result.duration_s == pytest.approx(600.0, rel=3e-3)
+
+
+@pytest.mark.parametrize(("rate_hz", "tick_s", "jitter"), [(400.0, 1e-3, 0.0), (333.3, 1e-3, 0.0), (100.0, 1e-9, 0.15)])
 def test_coarse_and_unsteady_times_are_no_losses(rate_hz: float, tick_s: float, jitter: float) -> None:
     samples = at_rest(rate_hz, 60_000)
     times_s = samples.time_s + jitter / rate_hz * np.random.default_rng(4).standard_normal(60_000)

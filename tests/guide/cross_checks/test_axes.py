@@ -180,6 +180,7 @@ def test_one_damaged_move_of_many_does_not_speak_against_right_axes() -> None:
     assert check_axes(good, 1.0).agrees
     damaged = [dataclasses.replace(good[0], rate_raw=np.add(good[0].rate_raw, [0.0, 25.0, 0.0])), *good[1:]]
     assert check_axes(damaged, 1.0).agrees
+    assert check_axes(damaged, None).agrees
     # With few it may be the only one about its axis.
     assert not check_axes(damaged[:6], 1.0).agrees
 
