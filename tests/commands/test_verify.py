@@ -35,7 +35,7 @@ from imufield.samples import FloatArray, Samples
 from tests.commands.told import fails, missing, says
 from tests.parameter_files import over_temperature
 from tests.refused import refused
-from tests.told import key_of, told
+from tests.told import told
 
 GRAVITY_M_S2 = 9.80665
 LATITUDE_DEG = 48.0
@@ -356,27 +356,6 @@ def test_a_poor_file_says_so_where_it_is_used(
     for path, is_poor in ((poor, True), (short / "parameters.toml", False)):
         assert run([command, str(path), *to[command]]) == 0
         assert ("POOR" in capsys.readouterr().out) is is_poor
-
-
-def test_parameters_without_a_gyroscope_say_so_where_they_are_used(
-    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table, session = tmp_path / "table.csv", tmp_path / "alone"
-    assert run(["export-data", str(short), "-o", str(table)]) == 0
-    np.savetxt(
-        table,
-        np.loadtxt(table, delimiter=",", skiprows=1, usecols=range(4)),
-        delimiter=",",
-        header="time,ax,ay,az",
-        comments="",
-    )
-    assert run(["import", str(table), "-o", str(session)]) == run(["solve", str(session), "--gravity", "9.8"]) == 0
-    alone = load(session).gyroscope_note
-    assert key_of(alone) == "file.not_calibrated"
-    for command, *output in (("export", "--to", "json"), ("apply", str(table))):
-        capsys.readouterr()
-        assert run([command, str(session / "parameters.toml"), *output, "-o", str(tmp_path / command)]) == 0
-        assert not missing(capsys.readouterr().out, *alone.split())
 
 
 def test_samples_that_the_calibrated_temperatures_do_not_cover_are_counted(short: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from imufield.cli.run import _interrupted_words, run
 from imufield.commands.terminal.guided import Captured, farewell
 from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
+from imufield.deliver.parameters.file import load
 from imufield.earth import normal_gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.guide import refusals
@@ -30,6 +31,7 @@ from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from tests.commands.told import fails, missing, says
 from tests.refused import refused
+from tests.told import key_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -173,6 +175,27 @@ def test_a_table_that_only_an_import_can_be_told_of_is_corrected_by_way_of_it(so
     table.write_text("time_s,ax,ay,az\n" + "".join(f"{0.01 * row:.2f},0.1,0.2,9.8\n" for row in range(20)))
     line = ["apply", str(solved_session), str(table), "-o", output, "--rate-hz", "50"]
     fails(line, 2, Reason.USAGE, "--rate-hz", key="table_columns.other_rate")
+
+
+def test_parameters_without_a_gyroscope_say_so_where_they_are_used(
+    short_solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, session = tmp_path / "table.csv", tmp_path / "alone"
+    assert run(["export-data", str(short_solved), "-o", str(table)]) == 0
+    np.savetxt(
+        table,
+        np.loadtxt(table, delimiter=",", skiprows=1, usecols=range(4)),
+        delimiter=",",
+        header="time,ax,ay,az",
+        comments="",
+    )
+    assert run(["import", str(table), "-o", str(session)]) == run(["solve", str(session), "--gravity", "9.8"]) == 0
+    alone = load(session).gyroscope_note
+    assert key_of(alone) == "file.not_calibrated"
+    for command, *output in (("export", "--to", "json"), ("apply", str(table))):
+        capsys.readouterr()
+        assert run([command, str(session / "parameters.toml"), *output, "-o", str(tmp_path / command)]) == 0
+        assert not missing(capsys.readouterr().out, *alone.split())
 
 
 def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(

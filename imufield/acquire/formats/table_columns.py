@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,12 @@ from imufield.acquire.formats.table_names import (
     TEMPERATURE,
     TIME,
     TableColumn,
+    columns_that_repeat,
     named_column,
     one_of_each,
     quantity_of_file,
     stamp_of_measurement,
+    time_in_parts,
 )
 from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass, replace
@@ -58,7 +59,6 @@ OF_COLUMNS = frozenset(
     }
 )
 """Refusals whose remedy is an option for columns or units."""
-_FRACTION_DIGITS = {"ns": 9, "us": 6}
 SKIPPED = ("-", "_", "skip")
 _NAMED_AT_ONCE = 12  # Columns that a sentence lists: as many as a person looks through.
 _EXAMPLE = "time_ms,ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps"  # A unit goes into a name.
@@ -173,8 +173,8 @@ def columns_by_header(
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     of_axes = quantity_of_file(path)
     found = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    whole, part = _split_time(found, rows) or (None, None)
-    named, no_clocks = [column for column in found if column not in (None, part)], _no_clocks(rows, width, whole)
+    whole, part = time_in_parts(found, rows) or (None, None)
+    named, no_clocks = [column for column in found if column not in (None, part)], columns_that_repeat(rows, width, whole)
     chosen = one_of_each(named, header, text_columns, no_clocks)
     if part is not None and whole in chosen:
         chosen.insert(chosen.index(whole) + 1, replace(part, field=FRACTION))
@@ -190,42 +190,6 @@ def columns_by_header(
         of = shortened(header[stamp.index])
         said.append(sentence("table_columns.stamp", name=path.name, stamp=of, others=others))
     return _checked(path, chosen, tuple(said), header)
-
-
-def _no_clocks(rows: Sequence[Sequence[str]], width: int, whole: TableColumn | None) -> set[int]:
-    """Return which columns have the same, or nothing, in some of these rows; ``whole`` has its fraction in the next one."""
-
-    def cell(row: Sequence[str], column: int) -> str:
-        return " ".join(row[column : column + 2]) if whole is not None and column == whole.index else row[column].lower()
-
-    cells = [[cell(row, column) for row in rows if column < len(row)] for column in range(width)]
-    return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
-
-
-def _split_time(columns: Sequence[TableColumn | None], rows: Sequence[Sequence[str]]) -> tuple[TableColumn, TableColumn] | None:
-    """Return the column of whole seconds and that of their fraction, as ROS writes its stamps; None where there are none."""
-    for whole, part in pairwise(columns):
-        if whole is None or part is None or part.unit not in _FRACTION_DIGITS or (whole.field, whole.unit) != (TIME, "s"):
-            continue
-        digits = _FRACTION_DIGITS[part.unit]
-        pairs = [[row[each].removesuffix(".0") for each in (whole.index, part.index)] for row in rows if part.index < len(row)]
-        are_parts = all(seconds.isdecimal() and rest.isdecimal() and len(rest) <= digits for seconds, rest in pairs)
-        if are_parts and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
-            return whole, part
-    return None
-
-
-def with_whole_times(meaning: Meaning, values: FloatArray) -> tuple[Meaning, FloatArray]:
-    """Return rows whose time is one column, where a second one has the fraction of its seconds."""
-    fields = [column.field for column in meaning.columns]
-    if FRACTION not in fields:
-        return meaning, values
-    time, part = fields.index(TIME), fields.index(FRACTION)
-    rows, part_s = values.copy(), values[:, part] * SECONDS[meaning.units[FRACTION]]
-    # What reaches a second is no part of one, but the time in another unit.
-    rows[:, time] = part_s if (part_s >= 1.0).any() else rows[:, time] + part_s
-    columns = tuple(column for column in meaning.columns if column.field != FRACTION)
-    return replace(meaning, columns=columns), np.delete(rows, part, axis=1)
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:

@@ -12,6 +12,7 @@ from imufield.acquire.formats.table_arrays import ArrayTable, array_kind, read_a
 from imufield.acquire.formats.table_columns import (
     COUNTER,
     FIELDS,
+    FRACTION,
     STATUS,
     Meaning,
     columns_by_count,
@@ -19,10 +20,10 @@ from imufield.acquire.formats.table_columns import (
     columns_by_user,
     in_degc,
     median_step,
-    with_whole_times,
 )
 from imufield.acquire.formats.table_names import TEMPERATURE, TIME, refuse_several_instruments
 from imufield.acquire.formats.table_text import ROWS_LOOKED_AT, TextTable, open_table
+from imufield.acquire.protocol.units import SECONDS
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError
 from imufield.limits import TEMPERATURE_RANGE_DEGC
@@ -95,7 +96,7 @@ def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]
     Programs that log two instruments write each sample into a row of its own, or leave a lost one empty: a triad consists of
     the rows that have its values, and its times are its own. Raises as ``file_of``.
     """
-    meaning, values = with_whole_times(meaning, values)
+    meaning, values = _with_whole_times(meaning, values)
     places = {column.field: place for place, column in enumerate(meaning.columns)}
     lacks = {}
     for quantity, triad in TRIADS.items():
@@ -152,7 +153,7 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, rows: Sequence
         ``BAD_DATA`` with the line that is wrong.
     """
     path = source.path
-    meaning, values = with_whole_times(meaning, values)
+    meaning, values = _with_whole_times(meaning, values)
     # One row has no rate.
     if len(values) < 2:
         raise RecordingError(sentence("table_file.one_row", path=str(path)), Reason.BAD_DATA)
@@ -177,6 +178,19 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, rows: Sequence
     times = [column.index for column in meaning.columns if column.field == TIME]
     zero_s = source.zero_s[times[0]] if times and source.zero_s else 0.0
     return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero, zero_s=zero_s)
+
+
+def _with_whole_times(meaning: Meaning, values: FloatArray) -> tuple[Meaning, FloatArray]:
+    """Return rows whose time is one column, where a second one has the fraction of its seconds."""
+    fields = [column.field for column in meaning.columns]
+    if FRACTION not in fields:
+        return meaning, values
+    time, part = fields.index(TIME), fields.index(FRACTION)
+    rows, part_s = values.copy(), values[:, part] * SECONDS[meaning.units[FRACTION]]
+    # What reaches a second is no part of one, but the time in another unit.
+    rows[:, time] = part_s if (part_s >= 1.0).any() else rows[:, time] + part_s
+    columns = tuple(column for column in meaning.columns if column.field != FRACTION)
+    return replace(meaning, columns=columns), np.delete(rows, part, axis=1)
 
 
 def is_empty(column: FloatArray) -> bool:

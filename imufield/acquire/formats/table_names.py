@@ -31,6 +31,7 @@ _STAMPS = frozenset(_WORDS["order"]["stamp"].split())
 _NUMBERED = _NAMES["noise"].union(name for triad in TRIADS for name in _NAMES[triad] if len(name) > 1)
 _AXES = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _RATES = ("m/s^2", "rad/s")
+_FRACTION_DIGITS = {"ns": 9, "us": 6}
 # Others stand behind names, too: "Acc X (forward)", "temp (IMU)".
 _LOOKS_LIKE_A_UNIT = re.compile(r"[/°˚·^*\d]|^[^\W\d_]$")
 _MOST_INSTRUMENTS = 16
@@ -197,6 +198,31 @@ def quantity_of_file(path: Path) -> str:
     pairs = map("".join, pairwise(words))
     told = {quantity for name in (*words, *pairs) for quantity in TRIADS if name in _NAMES["file"] & _NAMES[quantity]}
     return told.pop() if len(told) == 1 else ""
+
+
+def columns_that_repeat(rows: Sequence[Sequence[str]], width: int, whole: TableColumn | None) -> set[int]:
+    """Return which columns have the same, or nothing, in some of these rows; ``whole`` has its fraction in the next one."""
+
+    def cell(row: Sequence[str], column: int) -> str:
+        return " ".join(row[column : column + 2]) if whole is not None and column == whole.index else row[column].lower()
+
+    cells = [[cell(row, column) for row in rows if column < len(row)] for column in range(width)]
+    return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
+
+
+def time_in_parts(
+    columns: Sequence[TableColumn | None], rows: Sequence[Sequence[str]]
+) -> tuple[TableColumn, TableColumn] | None:
+    """Return the column of whole seconds and that of their fraction, as ROS writes its stamps; None where there are none."""
+    for whole, part in pairwise(columns):
+        if whole is None or part is None or part.unit not in _FRACTION_DIGITS or (whole.field, whole.unit) != (TIME, "s"):
+            continue
+        digits = _FRACTION_DIGITS[part.unit]
+        pairs = [[row[each].removesuffix(".0") for each in (whole.index, part.index)] for row in rows if part.index < len(row)]
+        are_parts = all(seconds.isdecimal() and rest.isdecimal() and len(rest) <= digits for seconds, rest in pairs)
+        if are_parts and (part.field, part.name, part.qualifier) == (TIME, whole.name, whole.qualifier):
+            return whole, part
+    return None
 
 
 def stamp_of_measurement(columns: Sequence[TableColumn], no_clocks: Collection[int]) -> TableColumn | None:

@@ -264,30 +264,6 @@ def test_a_bad_line_is_named(
     assert caught.value.values["line"] == line
 
 
-def test_of_several_wrong_times_the_first_is_named(tmp_path: Path) -> None:
-    time = TIME.copy()
-    time[[8, 29]] = 7.01, 0.01
-    path = write(tmp_path, text_of(time, ACCELEROMETER))
-    with refused(RecordingError, Reason.BAD_DATA, "in line 9", key="table_file.wrong_time") as caught:
-        read_tables([path])
-    assert caught.value.values["value"] == 7.01
-
-
-@pytest.mark.parametrize(("header", "key"), [("", "table_file.guessed_time_back"), ("time ax ay az\n", "table_file.time_back")])
-def test_a_clock_that_began_anew_is_told_with_both_times(tmp_path: Path, header: str, key: str) -> None:
-    path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - 0.1), ACCELEROMETER, header=header))
-    with refused(RecordingError, Reason.BAD_DATA, "--columns", key=key) as caught:
-        read_tables([path])
-    assert {"before": 0.19, "after": 0.1, "line": 21 + len(header.splitlines())}.items() <= caught.value.values.items()
-
-
-@pytest.mark.parametrize("back_s", [0.011, 0.015, 0.0199])
-def test_a_clock_that_was_set_back_by_a_step_or_two_makes_no_time_wrong(tmp_path: Path, back_s: float) -> None:
-    path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - back_s), ACCELEROMETER, header="time ax ay az\n"))
-    with refused(RecordingError, Reason.BAD_DATA, "in line 22", key="table_file.time_back"):
-        read_tables([path])
-
-
 def test_a_file_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER))
     with refused(UsageError, Reason.USAGE, str(path), key="tables.same_file"):

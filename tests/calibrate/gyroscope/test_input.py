@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gyroscope_sessions import ratios, simulate
+from gyroscope_sessions import Turn, ratios, simulate
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import Gauge
+from imufield.sentences import Sentences
 from imufield.simulate.truth.grades import GRADES, draw_truth
 from tests.told import told
+
+sentence = Sentences("imufield.calibrate.gyroscope")
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])[[0, 4, 2, 3, 1, 5, 1, 3, 5, 0, 2, 4]]
 
@@ -75,3 +79,16 @@ def test_moves_that_either_triad_damages_are_left_out_once_each() -> None:
     begins_s = [each.values["begin_s"] for each in told(found.reasons, "input.impossible")]
     assert sorted(begins_s) == pytest.approx(moves.start_s[: 2 * few - 1])
     assert len(found.moves.after_deg) == len(moves) - (2 * few - 1)
+
+
+def test_the_stop_of_a_move_that_is_left_out_goes_with_it() -> None:
+    turned = simulate(3, turns=tuple(Turn(np.eye(3)[axis], 2 * np.pi, upright=True) for axis in range(3)))
+    stops = tuple(Stop(time_s, np.radians(0.01)) for time_s in turned.turn_times_s)
+    moves, turn = turned.given.moves, turned.given.moves.slots.turn.copy()
+    # One sample whose number lost its point.
+    row = int(np.searchsorted(moves.slots.start_s, stops[2].time_s))
+    turn[row] += np.radians(9000.0) * moves.slots.duration_s[row]
+    damaged = replace(moves, slots=replace(moves.slots, turn=turn))
+    found = calibrate_gyroscope(replace(turned.given, stops=stops, moves=damaged))
+    assert sentence("result.stops", stops=2) in found.calibration.path
+    assert len(told(found.reasons, "input.impossible")) == 1

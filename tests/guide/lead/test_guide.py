@@ -253,15 +253,6 @@ def test_samples_after_a_lost_link_mean_that_it_is_back(make_path: Any) -> None:
     assert "+x" in guide.observations().name
 
 
-def test_a_link_that_is_lost_before_the_noise_floor_refuses_no_hold(make_path: Any) -> None:
-    """What was still before belongs to no hold: nobody was told to hold."""
-    samples = make_path(100.0).hold([0, 0, 1], 14).samples()
-    guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
-    events = guide.feed(samples[:200]) + guide.link_lost() + guide.feed(samples[405:]) + guide.flush()
-    assert not of(events, Rejected)
-    assert guide.observations().name == ("+z",)
-
-
 @pytest.mark.parametrize(
     ("flag", "row"),
     [

@@ -10,12 +10,14 @@ import pytest
 
 from imufield.guide import refusals
 from imufield.guide.events import Accepted, Hold, Holding, RefusalCode, Rejected
+from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.positions import scheme
 from imufield.samples import Samples, Status
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from tests.guide.guided import FACES, feed, is_said_by, of, run, values_of
+from tests.guide.guided import FACES, SHORT, feed, is_said_by, of, run, values_of
 
 ORDER = ("+z", "+x", "-z", "+y")
 
@@ -114,3 +116,12 @@ def test_a_hold_does_not_go_on_where_the_clock_was_set(make_path: Any) -> None:
     guide, events = run(samples, settings=GuideSettings(hold_s=6.0))
     assert [event.reason for event in of(events, Rejected)] == [RefusalCode.CLOCK_JUMP]
     assert guide.observations().start_s[0] >= 5
+
+
+def test_a_link_that_is_lost_before_the_noise_floor_refuses_no_hold(make_path: Any) -> None:
+    """What was still before belongs to no hold: nobody was told to hold."""
+    samples = make_path(100.0).hold([0, 0, 1], 14).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
+    events = guide.feed(samples[:200]) + guide.link_lost() + guide.feed(samples[405:]) + guide.flush()
+    assert not of(events, Rejected)
+    assert guide.observations().name == ("+z",)
