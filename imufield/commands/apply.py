@@ -11,7 +11,7 @@ from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.printed_numbers import beside, hanging
 from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
-from imufield.deliver.samples.export_csv import refuse_foreign_text
+from imufield.deliver.samples.export_csv import refuse_foreign_file
 from imufield.deliver.samples.export_data import format_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
@@ -49,7 +49,7 @@ def run_apply(options: ApplyOptions) -> None:
         serial_number, blocks = "", table_samples(source, options.rate_hz, assumptions)
     if format_of(output) != "csv":
         raise UsageError(sentence("apply.other_format", output=output))
-    refuse_foreign_text(output)
+    refuse_foreign_file(output)
     count, flags = RowCount(), TemperatureFlags(parameters)
     try:
         rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)

@@ -11,7 +11,7 @@ from imufield.commands.options.result_commands import ExportDataOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.printed_numbers import beside, hanging
-from imufield.deliver.samples.export_csv import refuse_foreign_text
+from imufield.deliver.samples.export_csv import refuse_foreign_file
 from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of, format_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
@@ -38,7 +38,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts, RecordingError)
-    refuse_foreign_text(path)
+    refuse_foreign_file(path)
     protocol = session_protocol(session)
     # What was typed at the import goes before what the protocol assumes.
     stated = session.record.nominal.raw_zero

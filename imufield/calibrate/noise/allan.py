@@ -29,7 +29,7 @@ _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, how
 _USUAL = 0.9  # Share of the steps that are off by no more than the slack.
 _WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
 _ONE_INTERVAL = 1.7  # Of the middle step: longer ones may hold a lost sample.
-_TURNS = 8
+_TURNS = 4  # With a fifth of the samples lost the interval settles in two.
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,9 @@ class EvenRows:
 
 
 def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tuple[float, float]:
-    """Return the interval of samples with these steps, shape (n,), unless known, and what single steps are off by, part of it.
+    """Return the interval of samples with these steps, shape (n,), and by what part of it single steps are off.
+
+    An interval that is known is returned as it is.
 
     Times of whole milliseconds at 400 Hz have steps of 2 and 3 ms, whose median is no interval. Where all steps are whole
     multiples of the median, the longer ones are losses.

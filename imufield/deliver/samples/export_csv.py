@@ -33,7 +33,7 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
     return rows
 
 
-def refuse_foreign_text(path: Path) -> None:
+def refuse_foreign_file(path: Path) -> None:
     """Keep a file that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
     begin = b""
     # A file that cannot be read is reported when it is written.
