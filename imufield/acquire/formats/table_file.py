@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,8 @@ _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) |
 )
 _FEW_STEPS_BACK = 0.1  # Share of the rows.
 _LEAST_ROOM = 1.5  # Usual steps between the neighbours of a wrong time; there are two where nothing else is wrong.
+_ROLLED_AFTER = 2.0**32  # ``micros()`` of an Arduino begins anew every 71.6 minutes, ``millis()`` every 49.7 days.
+_NEAR_ROLL = _ROLLED_AFTER / 1000  # Of microseconds 4 s: more than a sample takes.
 _LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
 
 
@@ -88,6 +91,24 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
     )
     # Dates are read in seconds, whatever the heading says of them.
     return replace(meaning, units=meaning.units | {TIME: "s"}) if dated else meaning
+
+
+def unrolled(pieces: Iterable[FloatArray], meaning: Meaning) -> Iterator[FloatArray]:
+    """Yield consecutive rows with times that go on where a counter of 32 bits began anew; the same arrays where none did."""
+    fields = [column.field for column in meaning.columns]
+    place, last, rolled = fields.index(TIME) if TIME in fields else None, math.nan, 0.0
+    for rows in pieces:
+        if place is None or not len(rows):
+            yield rows
+            continue
+        time, before = rows[:, place], np.append(last, rows[:-1, place])
+        begins_anew = (time >= 0) & (time < _NEAR_ROLL) & (before > _ROLLED_AFTER - _NEAR_ROLL) & (before < _ROLLED_AFTER)
+        last = float(time[-1])
+        if rolled or begins_anew.any():
+            rows = rows.copy()
+            rows[:, place] += rolled + _ROLLED_AFTER * begins_anew.cumsum()
+            rolled += _ROLLED_AFTER * np.count_nonzero(begins_anew)
+        yield rows
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:

@@ -32,7 +32,7 @@ from imufield.acquire.formats.table_columns import (
     refuse_unsigned,
     spread_times,
 )
-from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
+from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source, unrolled
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
@@ -208,7 +208,8 @@ def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str |
     known, at_once, files = [*zip(sources, meanings, strict=True)], os.cpu_count() or 1, list[File]()
     for group in (known[first : first + at_once] for first in range(0, len(known), at_once)):
         reads = [BackgroundWork(partial(source.read, meaning.places)) for source, meaning in group]
-        files += [file for of, read in zip(group, reads, strict=True) for file in files_of(*of, read.result())]
+        for (source, meaning), read in zip(group, reads, strict=True):
+            files += files_of(source, meaning, next(unrolled([read.result()], meaning)))
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
@@ -249,7 +250,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
         yield _table(_files([path]), rate_hz)
         return
     meaning = meaning_of(source, None, 0, 1)
-    pieces = _pieces(source, meaning)
+    pieces = unrolled(_pieces(source, meaning), meaning)
     values = next(pieces)
     late = _late(source, meaning, values)
     file = file_of(source, meaning, values, range(len(values)), known=late.keys())

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.acquire.formats.tables import read_tables
+from imufield.acquire.formats import table_text, tables
+from imufield.acquire.formats.tables import read_tables, stream_table
 from imufield.errors import Reason, RecordingError
 from tests.acquire.table_files import ACCELEROMETER, TIME, text_of, write
 from tests.refused import refused
@@ -35,3 +36,15 @@ def test_a_clock_that_was_set_back_by_a_step_or_two_makes_no_time_wrong(tmp_path
     path = write(tmp_path, text_of(np.where(TIME < 0.2, TIME, TIME - back_s), ACCELEROMETER, header="time ax ay az\n"))
     with refused(RecordingError, Reason.BAD_DATA, "in line 22", key="table_file.time_back"):
         read_tables([path])
+
+
+@pytest.mark.parametrize("row", [1, 8, 9, 10, 11, 30])
+def test_a_counter_of_32_bits_that_began_anew_goes_on(tmp_path: Path, row: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 10)
+    time_us = (np.round(1e6 * (TIME - TIME[row])) + 2**32) % 2**32
+    path = write(tmp_path, text_of(time_us, ACCELEROMETER, header="micros ax ay az\n"))
+    pieces = [piece.rows for piece in stream_table(path)]
+    assert len(pieces) > 2
+    for rows in (read_tables([path]).rows, np.concatenate(pieces)):
+        np.testing.assert_allclose(rows[:, 0] - rows[0, 0], TIME, atol=1e-9)
