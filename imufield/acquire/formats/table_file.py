@@ -103,12 +103,9 @@ def unrolled(pieces: Iterable[FloatArray], meaning: Meaning) -> Iterator[FloatAr
             continue
         time, before = rows[:, place], np.append(last, rows[:-1, place])
         begins_anew = (time >= 0) & (time < _NEAR_ROLL) & (before > _ROLLED_AFTER - _NEAR_ROLL) & (before < _ROLLED_AFTER)
-        last = float(time[-1])
-        if rolled or begins_anew.any():
-            rows = rows.copy()
-            rows[:, place] += rolled + _ROLLED_AFTER * begins_anew.cumsum()
-            rolled += _ROLLED_AFTER * np.count_nonzero(begins_anew)
-        yield rows
+        last, shift = float(time[-1]), rolled + _ROLLED_AFTER * begins_anew.cumsum()
+        rolled = float(shift[-1])
+        yield rows + np.where(np.arange(rows.shape[1]) == place, shift[:, None], 0.0) if rolled else rows
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:

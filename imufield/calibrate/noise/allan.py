@@ -54,8 +54,10 @@ def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tupl
     """
     usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
     middle_s = float(median(usual_s))
-    if np.quantile(np.abs(usual_s / middle_s - np.rint(usual_s / middle_s)), _USUAL) < _WHOLE:
-        return known_s or middle_s, 0.0
+    # The middle one itself is 17 ms where whole milliseconds at 60 Hz are 16 and 17.
+    wholes = np.maximum(np.rint(usual_s / middle_s), 1)
+    if np.quantile(np.abs(usual_s / middle_s - wholes), _USUAL) < _WHOLE:
+        return known_s or float(usual_s.sum() / wholes.sum()), 0.0
     interval_s, slack = known_s or float(usual_s[usual_s <= _ONE_INTERVAL * middle_s].mean()), 0.0
     # Which steps are longer by a lost sample, and the interval, tell each other.
     for _ in range(_TURNS):
