@@ -226,7 +226,7 @@ class StaticNavigation:
         )
         expected = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
         if expected.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
-            return None, (sentence("check.no_heading", sigma_deg=np.degrees(expected.heading_sigma_rad)),)
+            return None, (sentence("check.no_heading", sigma_deg=min(np.degrees(expected.heading_sigma_rad), 180)),)
         return expected, ()
 
 
