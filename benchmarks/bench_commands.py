@@ -29,7 +29,7 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import session_samples
-from imufield.pipeline.kept import KEPT_FILE
+from imufield.pipeline.reading_cache import CACHE_FILE
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.operator import OperatorSettings
@@ -199,7 +199,7 @@ def long_rows(folder: Path) -> list[Row]:
     ended = []
     for _ in range(ROUNDS):
         # Cold: without what is kept of an earlier replay.
-        (session.folder / KEPT_FILE).unlink(missing_ok=True)
+        (session.folder / CACHE_FILE).unlink(missing_ok=True)
         ended.append(run_program(folder, "solve", session.folder, "--json"))
     kept = {
         "solve, as right after a capture": ("solve", session.folder, "--json"),

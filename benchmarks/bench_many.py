@@ -23,7 +23,7 @@ from benchmarks.rows import Row, row
 from imufield.acquire.recording.session import Session
 from imufield.deliver.parameters import to_toml
 from imufield.deliver.parameters.read import read_document
-from imufield.pipeline.kept import KEPT_FILE
+from imufield.pipeline.reading_cache import CACHE_FILE
 
 FILES = (100, 1000, 10_000)
 CALIBRATIONS = 10
@@ -87,7 +87,7 @@ def solve_rows(folder: Path, session: Session) -> list[Row]:
 
     def solve(count: int, *options: object) -> Ended:
         for copy in copies:
-            (copy / KEPT_FILE).unlink(missing_ok=True)
+            (copy / CACHE_FILE).unlink(missing_ok=True)
         return run_program(folder, "solve", *copies[:count], *options)
 
     few, one = (solve(count, "--workers", 1) for count in SESSIONS)

@@ -325,9 +325,9 @@ def _stays(folder: Path) -> Sentence | None:
     kind = earlier.record.kind
     if kind != "import":
         return sentence("import_files.no_import", folder=folder, kind=kind)
-    from imufield.pipeline.kept import KEPT_FILE  # With what solving needs; few imports replace one.
+    from imufield.pipeline.reading_cache import CACHE_FILE  # With what solving needs; few imports replace one.
 
-    own = {SETTINGS_FILE, LOCK_FILE, KEPT_FILE, *(part.name for part in earlier.parts)}
+    own = {SETTINGS_FILE, LOCK_FILE, CACHE_FILE, *(part.name for part in earlier.parts)}
     others = sorted(path.name for path in folder.iterdir() if path.name not in own)
     return sentence("import_files.holds_more", folder=folder, others=others[:3]) if others else None
 

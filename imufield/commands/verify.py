@@ -45,8 +45,8 @@ from imufield.files import refuse_overwriting
 from imufield.guide.events import RefusalCode
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage
-from imufield.pipeline.kept import kept
 from imufield.pipeline.reading import Reading
+from imufield.pipeline.reading_cache import cached_reading
 from imufield.samples import Samples
 from imufield.sentences import Sentences, printable
 
@@ -153,7 +153,7 @@ def _verify(task: _Task) -> Verification:
     untried = navigation.is_off
     # Positions alone are all in what is kept of an earlier replay.
     only_positions = untried and not task.parameters.temperature_models
-    reading = kept(task.session, task.sha256) if only_positions else None
+    reading = cached_reading(task.session, task.sha256) if only_positions else None
     chain = Chain(ReadingPlan.of(task.session), (flags.count, navigation.feed))
     if reading is None:
         replay_into(chain, task.session, damage)

@@ -1,4 +1,4 @@
-"""The outcome of one replay of a recording, as plain values: all that the calibration needs (cached by ``kept``)."""
+"""The outcome of one replay of a recording, as plain values: all that the calibration needs (kept by ``reading_cache``)."""
 
 from __future__ import annotations
 

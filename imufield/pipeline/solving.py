@@ -41,8 +41,8 @@ from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage
-from imufield.pipeline.kept import is_kept, keep, kept
 from imufield.pipeline.reading import Reading, ReadingCollector
+from imufield.pipeline.reading_cache import cached_reading, is_cached, write_cache
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
@@ -185,8 +185,8 @@ def read_recording(
     collected = ReadingCollector()
     chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
     sha256 = BackgroundWork(session.sha256)
-    if not (goes_on or listeners) and is_kept(session):
-        found = kept(session, sha256.result())
+    if not (goes_on or listeners) and is_cached(session):
+        found = cached_reading(session, sha256.result())
         if found is not None:
             yield found
             return
@@ -195,7 +195,7 @@ def read_recording(
         reading = reading_of(session, chain, collected, damage, sha256=sha256.result())
     yield reading
     if keeps and not (goes_on or damage):
-        keep(session, reading)
+        write_cache(session, reading)
 
 
 def reading_of(

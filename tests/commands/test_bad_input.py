@@ -21,7 +21,7 @@ from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words
 from imufield.errors import Reason
-from imufield.pipeline.kept import KEPT_FILE
+from imufield.pipeline.reading_cache import CACHE_FILE
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from tests.commands.conftest import FACES
@@ -100,7 +100,7 @@ def furnished(program: Program, whole_session: Path) -> Program:
     # As at a first use: nothing kept of the session, and no secret to keep it by, so that whatever is written is seen.
     shutil.rmtree(folder / "home")
     (folder / "home").mkdir()
-    shutil.copytree(whole_session, folder / "whole", ignore=shutil.ignore_patterns(KEPT_FILE))
+    shutil.copytree(whole_session, folder / "whole", ignore=shutil.ignore_patterns(CACHE_FILE))
     (folder / "folder").mkdir()
     (folder / "notes.txt").write_text("Dear diary,\n")
     (folder / "noise.bin").write_bytes(np.random.default_rng(5).bytes(100_000))

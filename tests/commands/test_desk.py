@@ -31,7 +31,7 @@ from imufield.commands.terminal import emulated
 from imufield.errors import LinkError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
-from imufield.pipeline.kept import KEPT_FILE
+from imufield.pipeline.reading_cache import CACHE_FILE
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
@@ -99,7 +99,7 @@ def test_a_session_that_is_still_being_recorded_is_called_that(program: Program,
 
 def test_solve_twice_gives_the_same_and_leaves_the_file(program: Program, whole_session: Path) -> None:
     # Once from a replay, once from what was kept of it.
-    whole = Path(shutil.copytree(whole_session, program.folder / "whole", ignore=shutil.ignore_patterns(KEPT_FILE)))
+    whole = Path(shutil.copytree(whole_session, program.folder / "whole", ignore=shutil.ignore_patterns(CACHE_FILE)))
     first, file = document(program, "whole"), (whole / "parameters.toml").read_bytes()
     while time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()) <= first["created"]:
         time.sleep(0.05)

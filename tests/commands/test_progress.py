@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from imufield.errors import EXIT_INTERRUPTED
-from imufield.pipeline.kept import KEPT_FILE
+from imufield.pipeline.reading_cache import CACHE_FILE
 from tests.commands.pty_terminal import Terminal
 from tests.commands.test_verify import rest_session
 from tests.commands.told import missing
@@ -37,7 +37,7 @@ AT_ONCE = [("show_progress_at_once",)]
 @pytest.fixture
 def here(program: Program, short_solved: Path) -> Path:
     # Without what is kept of its replay: reading it again is what takes long.
-    shutil.copytree(short_solved, program.folder / "here", ignore=shutil.ignore_patterns(KEPT_FILE))
+    shutil.copytree(short_solved, program.folder / "here", ignore=shutil.ignore_patterns(CACHE_FILE))
     return program.folder / "here"
 
 
@@ -92,7 +92,7 @@ def test_an_interrupt_ends_every_phase_with_nothing_half_written(
     assert lines(terminal)[-1] == ""
     whole = {"report.html", "calibration-record.html"} if task == "writing report.pdf" else set()
     # What is kept of a replay is whole, too, but nobody's result.
-    assert {path.name for path in here.iterdir()} - {KEPT_FILE} == before | whole
+    assert {path.name for path in here.iterdir()} - {CACHE_FILE} == before | whole
 
 
 def test_a_pipe_gets_no_line(program: Program, here: Path) -> None:

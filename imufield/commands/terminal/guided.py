@@ -41,8 +41,8 @@ from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_CHECKED
 from imufield.pipeline.chain import ROTATIONS, Chain, ReadingPlan, replay_into, require_gravity
 from imufield.pipeline.intake import Intake
-from imufield.pipeline.kept import keep
 from imufield.pipeline.reading import ReadingCollector
+from imufield.pipeline.reading_cache import write_cache
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import reading_of
 from imufield.progress import can_draw, hidden
@@ -233,7 +233,7 @@ def guided_session(
     if not damage:
         # For who solves it: all has been seen already. Where there is nothing to be calibrated from, solving says so.
         with suppress(CalibrationError):
-            keep(session, reading_of(session, chain, collected, sha256=session.sha256()))
+            write_cache(session, reading_of(session, chain, collected, sha256=session.sha256()))
     return captured
 
 

@@ -76,7 +76,7 @@ def show_in_browser(url: str) -> None:
 
 def _shape() -> str | None:
     """Return the user's drawing of the instrument, None where there is none."""
-    from imufield.web.shape import read_stl
+    from imufield.web.stl_file import read_stl
 
     drawing = instrument_stl()
     return None if drawing is None else read_stl(drawing)

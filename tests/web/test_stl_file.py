@@ -15,7 +15,7 @@ pytest.importorskip("websockets", reason="the page needs websockets")
 from imufield.commands.options.configuration import default_map, instrument_stl
 from imufield.commands.terminal.page import bind_page
 from imufield.errors import Reason, UsageError
-from imufield.web.shape import MOST_TRIANGLES, read_stl
+from imufield.web.stl_file import MOST_TRIANGLES, read_stl
 from tests.refused import refused
 
 # Of a house of 40 x 20 x 10 mm: two triangles of its base are enough.
@@ -39,16 +39,16 @@ def test_a_drawing_fills_the_picture_about_its_middle(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "key"),
     [
-        (b"", "shape.no_stl"),
-        (b"solid housing\nfacet normal 0 0 1\n", "shape.no_stl"),
-        (stl([]), "shape.no_stl"),
-        (stl(CORNERS)[:-1], "shape.no_stl"),
-        (stl(CORNERS, 3), "shape.no_stl"),
-        (stl(CORNERS, 2**32 - 1), "shape.no_stl"),
-        (stl([[(1, 1, 1)] * 3]), "shape.no_stl"),
-        (stl([[(0, 0, 0), (1, 0, 0), (float("nan"), 1, 0)]]), "shape.no_stl"),
-        (stl([[(0, 0, 0), (1, 0, 0), (float("inf"), 1, 0)]]), "shape.no_stl"),
-        (stl(CORNERS[:1] * (MOST_TRIANGLES + 1)), "shape.too_many"),
+        (b"", "stl_file.no_stl"),
+        (b"solid housing\nfacet normal 0 0 1\n", "stl_file.no_stl"),
+        (stl([]), "stl_file.no_stl"),
+        (stl(CORNERS)[:-1], "stl_file.no_stl"),
+        (stl(CORNERS, 3), "stl_file.no_stl"),
+        (stl(CORNERS, 2**32 - 1), "stl_file.no_stl"),
+        (stl([[(1, 1, 1)] * 3]), "stl_file.no_stl"),
+        (stl([[(0, 0, 0), (1, 0, 0), (float("nan"), 1, 0)]]), "stl_file.no_stl"),
+        (stl([[(0, 0, 0), (1, 0, 0), (float("inf"), 1, 0)]]), "stl_file.no_stl"),
+        (stl(CORNERS[:1] * (MOST_TRIANGLES + 1)), "stl_file.too_many"),
     ],
 )
 def test_what_is_no_drawing_is_refused(tmp_path: Path, content: bytes, key: str) -> None:
@@ -65,7 +65,7 @@ def test_the_file_names_it_beside_itself(tmp_path: Path, monkeypatch: pytest.Mon
     assert instrument_stl() == Path("housing.stl")
     assert default_map() == {name: {"driver": "stim300"} for name in ("capture", "record", "plan")}
     # Refused before an instrument is asked anything.
-    with ExitStack() as stack, refused(UsageError, key="shape.unreadable"):
+    with ExitStack() as stack, refused(UsageError, key="stl_file.unreadable"):
         bind_page(stack)
     Path("imufield.toml").write_text('[instrument]\nphoto = "housing.jpg"\n')
     # Whichever command reads the file.

@@ -36,7 +36,7 @@ from imufield.version import __version__
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-KEPT_FILE = ".imufield-reading"  # Hidden: it is nobody's result.
+CACHE_FILE = ".imufield-reading"  # Hidden: it is nobody's result.
 _DIGEST_BYTES = 32
 _TYPES = {
     "observations": Observations,
@@ -50,24 +50,24 @@ _TYPES = {
 _Made = TypeVar("_Made", bound="DataclassInstance")
 
 
-def keep(session: Session, reading: Reading) -> None:
+def write_cache(session: Session, reading: Reading) -> None:
     """Write a reading beside its recording."""
     body = _packed(reading)
     if len(body) + _DIGEST_BYTES <= SMALL_FILE_LIMIT_BYTES:
         # A folder that cannot be written, or a full disk, only costs the time that this would save.
         with suppress(OSError):
-            write_atomically(session.folder / KEPT_FILE, _digest(session, reading.sha256, body) + body)
+            write_atomically(session.folder / CACHE_FILE, _digest(session, reading.sha256, body) + body)
 
 
-def is_kept(session: Session) -> bool:
-    """Tell whether something is kept; whether it is to be believed, ``kept`` tells."""
-    return (session.folder / KEPT_FILE).exists()
+def is_cached(session: Session) -> bool:
+    """Tell whether something is kept; whether it is to be believed, ``cached_reading`` tells."""
+    return (session.folder / CACHE_FILE).exists()
 
 
-def kept(session: Session, sha256: str) -> Reading | None:
+def cached_reading(session: Session, sha256: str) -> Reading | None:
     """Return the reading that is kept of a recording with this hash; None where there is none to be believed."""
     try:
-        content = read_small_file(session.folder / KEPT_FILE, Origin.INSIDE)
+        content = read_small_file(session.folder / CACHE_FILE, Origin.INSIDE)
         body = content[_DIGEST_BYTES:]
         own = hmac.compare_digest(content[:_DIGEST_BYTES], _digest(session, sha256, body))
     except OSError:

@@ -35,20 +35,20 @@ def read_stl(path: Path) -> str:
     try:
         content = read_small_file(path, Origin.FOUND)
     except OSError as error:
-        raise UsageError(sentence("shape.unreadable", path=str(path), cause=error.strerror)) from error
+        raise UsageError(sentence("stl_file.unreadable", path=str(path), cause=error.strerror)) from error
     body = content[_HEAD_BYTES + 4 :]
     count = int.from_bytes(content[_HEAD_BYTES : _HEAD_BYTES + 4], "little")
     if count == 0 or len(body) != count * _TRIANGLE.itemsize:
-        raise UsageError(sentence("shape.no_stl", path=str(path)))
+        raise UsageError(sentence("stl_file.no_stl", path=str(path)))
     if count > MOST_TRIANGLES:
-        raise UsageError(sentence("shape.too_many", path=str(path), found=count, limit=MOST_TRIANGLES))
+        raise UsageError(sentence("stl_file.too_many", path=str(path), found=count, limit=MOST_TRIANGLES))
     # A signalling NaN warns when it is copied.
     with np.errstate(invalid="ignore"):
         corners = np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64).reshape(-1, 3)
     if not np.isfinite(corners).all():
-        raise UsageError(sentence("shape.no_stl", path=str(path)))
+        raise UsageError(sentence("stl_file.no_stl", path=str(path)))
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = float((high - low).max()) / 2
     if not half > 0:
-        raise UsageError(sentence("shape.no_stl", path=str(path)))
+        raise UsageError(sentence("stl_file.no_stl", path=str(path)))
     return base64.b64encode(np.round((corners - (low + high) / 2) / half * _HALF).astype("<i2").tobytes()).decode()

@@ -17,7 +17,7 @@ from imufield.cli.run import run
 from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.report import gather
 from imufield.guide.positions import SCHEME_FILE
-from imufield.pipeline import kept, solving
+from imufield.pipeline import reading_cache, solving
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from tests.commands.conftest import simulated_session
@@ -51,7 +51,7 @@ def folder(recorded: Path, tmp_path: Path) -> Path:
 def longer(short_session: Path, tmp_path: Path) -> Path:
     """Return one with positions enough to leave some out."""
     copy = Path(shutil.copytree(short_session, tmp_path / "session"))
-    (copy / kept.KEPT_FILE).unlink(missing_ok=True)
+    (copy / reading_cache.CACHE_FILE).unlink(missing_ok=True)
     return copy
 
 
@@ -68,9 +68,9 @@ def refuse_replay(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_results_are_those_of_the_replay(longer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (longer / kept.KEPT_FILE).mkdir()  # Nothing can be kept.
+    (longer / reading_cache.CACHE_FILE).mkdir()  # Nothing can be kept.
     cold, cold_without = solved(longer), solved(longer, WITHOUT)
-    (longer / kept.KEPT_FILE).rmdir()
+    (longer / reading_cache.CACHE_FILE).rmdir()
     assert repr(solved(longer)) == repr(cold)
     refuse_replay(monkeypatch)
     assert repr(solved(longer)) == repr(cold)
@@ -100,11 +100,11 @@ def edit(path: Path) -> None:
 def forge(path: Path) -> None:
     """Write as somebody else who has the program: all is right but the secret."""
     session = Session.open(path.parent)
-    reading = kept.kept(session, session.sha256())
+    reading = reading_cache.cached_reading(session, session.sha256())
     assert reading is not None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kept, "_secret", lambda: bytes(32))
-        kept.keep(session, reading)
+        patch.setattr(reading_cache, "_secret", lambda: bytes(32))
+        reading_cache.write_cache(session, reading)
 
 
 def move_on(path: Path) -> None:
@@ -113,7 +113,7 @@ def move_on(path: Path) -> None:
     scheme.write_text("# none of the session's\n", encoding="utf-8")
     session = Session.open(path.parent)
     body = content[32:]
-    signed = kept._digest(session, session.sha256(), body)
+    signed = reading_cache._digest(session, session.sha256(), body)
     scheme_hash = hashlib.sha256(scheme.read_bytes()).digest()
     scheme.unlink()
     path.write_bytes(signed + scheme_hash + body)
@@ -124,7 +124,7 @@ def test_what_does_not_fit_is_read_anew(
     replayed: tuple[Path, dict[str, Any]], tmp_path: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, cold = Path(shutil.copytree(replayed[0], tmp_path / "session")), replayed[1]
-    path = folder / kept.KEPT_FILE
+    path = folder / reading_cache.CACHE_FILE
     before = path.read_bytes()
     spoil(path)
     with monkeypatch.context() as patch:
@@ -156,12 +156,12 @@ def test_without_a_place_for_the_secret_nothing_is_kept(folder: Path, monkeypatc
 
     monkeypatch.setattr("platformdirs.user_state_path", nowhere)
     solved(folder)
-    assert not (folder / kept.KEPT_FILE).exists()
+    assert not (folder / reading_cache.CACHE_FILE).exists()
 
 
 def test_other_code_reads_anew(replayed: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = Path(shutil.copytree(replayed[0], tmp_path / "session"))
-    monkeypatch.setattr(kept, "_code_sha256", lambda: "of another version")
+    monkeypatch.setattr(reading_cache, "_code_sha256", lambda: "of another version")
     refuse_replay(monkeypatch)
     with pytest.raises(AssertionError):
         solved(folder)
@@ -169,11 +169,11 @@ def test_other_code_reads_anew(replayed: tuple[Path, dict[str, Any]], tmp_path: 
 
 def test_a_damaged_recording_is_read_every_time(whole_session: Path, tmp_path: Path) -> None:
     # Of several blocks, so that something is left.
-    folder = Path(shutil.copytree(whole_session, tmp_path / "session", ignore=shutil.ignore_patterns(kept.KEPT_FILE)))
+    folder = Path(shutil.copytree(whole_session, tmp_path / "session", ignore=shutil.ignore_patterns(reading_cache.CACHE_FILE)))
     flip(folder / "part-001.mcap")
     reasons = [solve_session(Session.open(folder), SolveSettings()).calibration.quality.reasons for _ in range(2)]
     assert reasons[0] == reasons[1]
-    assert not (folder / kept.KEPT_FILE).exists()
+    assert not (folder / reading_cache.CACHE_FILE).exists()
 
 
 def test_report_and_verify_need_no_replay(longer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +193,7 @@ def test_what_capture_keeps_is_what_a_replay_finds(program: Program, monkeypatch
     ended = program.run(*program.capture(port))
     assert ended.returncode == 0, ended.stderr
     folder = Session.newest(program.folder / "imufield-sessions").folder
-    path = folder / kept.KEPT_FILE
+    path = folder / reading_cache.CACHE_FILE
     live = path.read_bytes()
     # As that user: what another one kept is not believed.
     for name in ("HOME", "XDG_STATE_HOME"):
