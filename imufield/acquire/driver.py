@@ -113,8 +113,16 @@ class Driver:
             cls.default_baud = cls.bauds[0]
 
     @classmethod
-    def load_protocol(cls, given: Mapping[str, object] | None = None, *, messages: Iterable[Message] = ()) -> Protocol:
+    def load_protocol(
+        cls,
+        given: Mapping[str, object] | None = None,
+        *,
+        messages: Iterable[Message] = (),
+        known: Mapping[str, object] | None = None,
+    ) -> Protocol:
         """Return the protocol with this instrument's settings, those its messages tell, and those given.
+
+        ``known`` are settings that it told earlier: they hold where the messages do not tell otherwise.
 
         Raises
         ------
@@ -123,7 +131,7 @@ class Driver:
         """
         from imufield.acquire.protocol.protocol import load_protocol
 
-        read = {**cls.settings, **cls.read_settings(messages)}
+        read = {**cls.settings, **(known or {}), **cls.read_settings(messages)}
         return load_protocol(cls.protocol, given, read=read)
 
     @classmethod

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.recording.reader import PartStart, read_session
 from imufield.acquire.recording.session import Session
 from imufield.commands.probe import Probed, probe_port
 from imufield.errors import Reason
@@ -137,6 +138,23 @@ def test_record_takes_them_and_says_so(program: Program) -> None:
     }
     norm = np.linalg.norm(concatenate(list(session_samples(session, []))).accelerometer, axis=1)
     assert np.median(norm) == pytest.approx(G, rel=0.05)
+
+
+@pytest.mark.parametrize("driver", [(), ("--driver", "text")])
+def test_what_was_recognised_holds_when_the_session_goes_on(program: Program, driver: tuple[str, ...]) -> None:
+    with printing(Board(f"ms,{SIX}", "g deg/s")) as port:
+        for how in (("--port", port, *driver), ("--resume",)):
+            process = program.start("capture", *how, "--session", "mine", "--json")
+            assert process.stdout is not None
+            assert '"session"' in process.stdout.readline()
+            assert '"' in process.stdout.readline()
+            process.terminate()
+            assert process.wait(60) == 130
+            process.communicate()
+    parts = [item for item in read_session(Session.open(program.folder / "mine")) if isinstance(item, PartStart)]
+    first, second = (part.metadata["settings"] for part in parts)
+    assert first == second
+    assert {"time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}.items() <= first.items()
 
 
 def test_a_driver_that_is_named_needs_no_columns_either(program: Program) -> None:

@@ -103,7 +103,12 @@ def usable(wire: Wire, ways: Callable[[type[Driver]], Iterable[Candidate]], say:
 
 
 def driver_candidates(
-    driver: type[Driver], settings: Mapping[str, str], *, only_known: bool = False, variants: bool = False
+    driver: type[Driver],
+    settings: Mapping[str, str],
+    *,
+    read: Mapping[str, str] | None = None,
+    only_known: bool = False,
+    variants: bool = False,
 ) -> Iterator[Candidate]:
     """Yield the ways to read one instrument: the usual one, then its variants."""
     known = load_protocol(driver.protocol).settings
@@ -111,7 +116,7 @@ def driver_candidates(
     for variant in ({}, *(driver.variants if variants else ())):
         # What the user gave decides the form of the stream; other forms are not tried.
         if not given.keys() & variant.keys():
-            protocol = driver.load_protocol({**given, **variant})
+            protocol = driver.load_protocol({**given, **variant}, known=read)
             yield Candidate(
                 name=driver.name, title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver, variant=variant
             )

@@ -150,12 +150,13 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
         if options.protocol is not None:
             protocol = load_protocol(options.protocol, options.settings)
         else:
-            protocol = parse_protocol(options.protocol_text or "", options.settings, label="protocol of the session")
+            label = "protocol of the session"
+            protocol = parse_protocol(options.protocol_text or "", options.settings, read=options.settings_read, label=label)
         baud = options.baud or FALLBACK_BAUD
         return [Candidate(name=protocol.name, title=protocol.title, protocol=protocol, bauds=(baud,), driver=None)]
     if options.driver is None:
         return serial_candidates(options.settings, say=say)
-    return list(driver_candidates(load_driver(options.driver), options.settings))
+    return list(driver_candidates(load_driver(options.driver), options.settings, read=options.settings_read))
 
 
 def _woken(result: Search, clock: HostClock, say: Say) -> Instrument | None:

@@ -34,6 +34,8 @@ class ConnectOptions:
     baud: int | None = None
     protocol: Path | None = None
     settings: Mapping[str, str] = field(default_factory=dict)
+    settings_read: Mapping[str, str] = field(default_factory=dict)
+    """Those that a session took from the stream, and that hold where it does not tell them again."""
     protocol_text: str | None = None
     """Text of the protocol that a session was recorded with, where neither driver nor file is given."""
     bus: str | None = None
@@ -176,8 +178,11 @@ def with_settings(
     set_rate: dict[str, object] = {} if rate_hz is None or not by_increment else {"rate_hz": rate_hz}
     if driver is None or not (set_rate or driver.read_settings(messages)):
         return protocol
-    given = {name: setting.value for name, setting in protocol.settings.items() if setting.origin == "given"}
-    return driver.load_protocol({**given, **set_rate}, messages=messages)
+    given, read = (
+        {name: setting.value for name, setting in protocol.settings.items() if setting.origin == origin}
+        for origin in ("given", "read")
+    )
+    return driver.load_protocol({**given, **set_rate}, messages=messages, known=read)
 
 
 def untried(driver: type[Driver] | None) -> list[str]:

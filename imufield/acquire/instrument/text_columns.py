@@ -274,7 +274,7 @@ class LineListener(Listener):
     @property
     def is_certain(self) -> bool:
         """Whether listening longer would add nothing: a turn may yet show the unit of the gyroscope."""
-        return (self._is_given or (self._found is not None and self._found.is_shown)) and super().is_certain
+        return self._found is not None and (self._is_given or self._found.is_shown) and super().is_certain
 
     def _look(self) -> None:
         span_s = self._chunks[-1].monotonic_s - self._chunks[0].monotonic_s if self._chunks else 0.0

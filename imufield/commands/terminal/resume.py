@@ -159,7 +159,10 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         else:
             # Of a driver that is not installed here, or a file of the user's own, the session holds a copy.
             text = record.protocol.text or None
-    given = {name: str(setting.value) for name, setting in record.settings.items() if setting.origin == "given"}
+    given, read = (
+        {name: str(setting.value) for name, setting in record.settings.items() if setting.origin == origin}
+        for origin in ("given", "read")
+    )
     elsewhere = options.port is not None or options.bus is not None
     # Other kinds of pyserial's addresses write files or load code: those a person types.
     if not elsewhere and (link.port or "").partition("://")[1] and not (link.port or "").startswith(_ADDRESSES):
@@ -173,6 +176,7 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         baud=options.baud or (None if elsewhere and not same_place else link.baud or link.bit_rate),
         driver=driver,
         settings={**(given if options.protocol is None else {}), **options.settings},
+        settings_read=read,
         protocol_text=text,
         rate_hz=options.rate_hz or link.rate_hz,
     )
