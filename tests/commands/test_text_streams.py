@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
@@ -152,7 +152,7 @@ def test_what_was_recognised_holds_when_the_session_goes_on(program: Program, dr
             assert process.wait(60) == 130
             process.communicate()
     parts = [item for item in read_session(Session.open(program.folder / "mine")) if isinstance(item, PartStart)]
-    first, second = (part.metadata["settings"] for part in parts)
+    first, second = (dict(cast("Mapping[str, object]", part.metadata["settings"])) for part in parts)
     assert first == second
     assert {"time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}.items() <= first.items()
 
