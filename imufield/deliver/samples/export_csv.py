@@ -17,9 +17,12 @@ sentence = Sentences(__package__)
 
 ROWS = 2048
 """Rows that are written at once: a quarter of a megabyte of text. More is no faster."""
-_HEADER_BYTES = 1 << 10
+_END_BYTES = 1 << 13  # Of a file, at either end: there formats keep what they say of themselves.
 _HEADING = ",".join(SAMPLE_COLUMNS).encode()
-_OWN_BEGINNINGS = (b"time_s,ax_min,", b"PAR1", b"\x89HDF", b"\x89MCAP0")  # Of an overview, and of the other formats.
+_OF_OVERVIEW = b"time_s,ax_min,"
+_OF_TABLES = (b"PAR1", b"\x89HDF")
+_FACT = b"imufield_"  # Begins the name of each fact in a table.
+_OF_ROS2 = b"\x04\0\0\0ros2\x08\0\0\0imufield"  # Profile and library, first in the file.
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
@@ -35,15 +38,18 @@ def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -
 
 def refuse_foreign_file(path: Path) -> None:
     """Keep a file that no export wrote: it may be the log that a session came from; raises ``UsageError``."""
-    begin = b""
+    begin = end = b""
     # A file that cannot be read is reported when it is written.
     with suppress(OSError):
         if path.is_file():
             with open_to_read(path) as file:
-                begin = file.read(_HEADER_BYTES)
+                begin = file.read(_END_BYTES)
+                file.seek(max(path.stat().st_size - _END_BYTES, 0))
+                end = file.read()
     # A spreadsheet saves it with other line ends and with a mark of UTF-8.
     heading = begin.removeprefix(codecs.BOM_UTF8).split(b"\n", 1)[0].rstrip()
-    if begin and heading != _HEADING and not begin.startswith(_OWN_BEGINNINGS):
+    is_table = begin.startswith(_OF_TABLES) and _FACT in begin + end
+    if begin and not (heading == _HEADING or begin.startswith(_OF_OVERVIEW) or is_table or _OF_ROS2 in begin):
         raise UsageError(sentence("export_csv.foreign", path=path))
 
 

@@ -14,6 +14,7 @@ from imufield.acquire.formats.tables import read_tables
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.commands.import_files import import_session
 from imufield.commands.options.acquire_commands import ImportOptions
+from imufield.deliver.samples.export_csv import refuse_foreign_file
 from imufield.deliver.samples.export_data import FORMATS, export_csv, export_samples, facts_of
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import session_samples
@@ -102,6 +103,7 @@ def test_every_format_can_be_imported_again(tmp_path: Path, to: str, monkeypatch
     path = tmp_path / f"out.{FORMATS[to].suffix}"
     facts = facts_of(load_protocol("rows_f64"), np.array([0.5, 0.0, -0.5]))
     assert export_samples((samples[at : at + 700] for at in range(0, len(samples), 700)), path, to, facts) == len(samples)
+    refuse_foreign_file(path)  # It may be written over.
     options = ImportOptions(
         files=[path], output=tmp_path / "session", settings={"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
     )
