@@ -28,6 +28,8 @@ _BRIDGED_S = 1.0  # A longer hole ends the stretch.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, however unsteady the clock.
 _USUAL = 0.9  # Share of the steps that are off by no more than the slack.
 _WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
+_COARSE = 1.02  # Of the middle step: so much longer is the mean of rounded times that it is no single loss at times.
+_TICKS_OFF = 2  # A rounded time is off by less than a tick, and so are the ends, which tell the mean.
 _ONE_INTERVAL = 1.7  # Of the middle step: longer ones may hold a lost sample.
 _TURNS = 4  # With a fifth of the samples lost the interval settles in two.
 
@@ -50,10 +52,15 @@ def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tupl
     An interval that is known is returned as it is.
 
     Times of whole milliseconds at 400 Hz have steps of 2 and 3 ms, whose median is no interval. Where all steps are whole
-    multiples of the median, the longer ones are losses.
+    multiples of the median, the longer ones are losses, unless they come as evenly as at 800 Hz.
     """
     usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
     middle_s = float(median(usual_s))
+    mean_s = float(usual_s.mean())
+    is_beat = mean_s > _COARSE * middle_s and np.ptp(np.cumsum(usual_s - mean_s)) < _TICKS_OFF * middle_s
+    longest = float(usual_s.max()) / mean_s
+    if is_beat and longest < _TICKS_OFF:
+        return known_s or mean_s, (longest - 1) / 2
     # The middle one itself is 17 ms where whole milliseconds at 60 Hz are 16 and 17.
     wholes = np.maximum(np.rint(usual_s / middle_s), 1)
     if np.quantile(np.abs(usual_s / middle_s - wholes), _USUAL) < _WHOLE:
@@ -85,12 +92,15 @@ class EvenGrid:
     ----------
     bridged_s : float
         The longest step from sample to sample that is bridged.
+    rows, lasted_s : int, float
+        Of all steps that are not longer: how many rows they were taken for, and the time that they took.
     """
 
     def __init__(self, interval_s: float, slack: float = 0.0) -> None:
         self.interval_s = interval_s
         self._slack = slack
         self.bridged_s = max(_BRIDGED_S, _BRIDGED_INTERVALS * interval_s)
+        self.rows, self.lasted_s = 0, 0.0
         self._last: tuple[float, FloatArray] | None = None
 
     def feed(self, time_s: FloatArray, values: FloatArray) -> list[EvenRows]:
@@ -104,7 +114,10 @@ class EvenGrid:
         self._last = (float(time_s[-1]), values[-1])
         between = np.diff(time_s)
         steps = _intervals_in(between / self.interval_s, self._slack)
-        breaks = np.flatnonzero((between > self.bridged_s) | (between < 0)) + 1
+        is_break = (between > self.bridged_s) | (between < 0)
+        self.rows += int(steps[~is_break].sum())
+        self.lasted_s += float(between[~is_break].sum())
+        breaks = np.flatnonzero(is_break) + 1
         runs = []
         for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
             even, bridged = bridge(values[rows], steps[rows[:-1]])

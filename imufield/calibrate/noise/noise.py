@@ -44,6 +44,7 @@ QUANTISED = 0.5
 """Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
 _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds.
 _FIRST_SAMPLES = 5000  # Tell the interval where nothing else does: the median of as many is known to 2 % of the jitter.
+_OTHER_RATE = 0.01  # Of the time that the samples take; half of it is the error of a density.
 _MOST_STANDING = 0.05  # Share of them without a later time: the rate is off by as much, a density by half of it.
 _HOURS = 3600.0
 _SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
@@ -268,6 +269,10 @@ class NoiseStream:
             sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:
             sentences.append(sentence("noise.bridged", count=best.bridged))
+        counted_s = grid.rows * grid.interval_s
+        if abs(grid.lasted_s / counted_s - 1) > _OTHER_RATE:
+            told = {"lasted_s": grid.lasted_s, "counted_s": counted_s, "rate_hz": 1 / grid.interval_s, "limit": _OTHER_RATE}
+            sentences.append(sentence("noise.other_rate", **told))
         off = abs(best.mean_force / STANDARD_GRAVITY_M_S2 - 1)
         if self._knows_force and off > _GRAVITY_TOLERANCE:
             values = {"found_m_s2": best.mean_force, "expected_m_s2": STANDARD_GRAVITY_M_S2, "limit": _GRAVITY_TOLERANCE}

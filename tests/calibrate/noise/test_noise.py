@@ -254,7 +254,7 @@ def test_blocks_do_not_matter(size: int) -> None:
 def test_a_line_over_a_loss_has_no_steps() -> None:
     samples = at_rest(20.0, 4000, 0.003)
     samples.accelerometer[:] = 0.01 * np.rint(samples.accelerometer / 0.01)
-    result = measure_noise([samples[np.flatnonzero(np.arange(4000) % 7 != 0)]])
+    result = measure_noise([samples[np.flatnonzero(np.random.default_rng(7).random(4000) > 1 / 7)]])
     # Half a step between two values would be taken for the step of the output.
     assert result.bridged > 500
     for axis in result.triad("accelerometer"):
@@ -278,7 +278,15 @@ def test_losses_of_an_unsteady_clock_are_bridged(lost: float, is_known: bool) ->
 
 @pytest.mark.parametrize(
     ("rate_hz", "tick_s", "jitter"),
-    [(60.0, 1e-3, 0.0), (400.0, 1e-3, 0.0), (333.3, 1e-3, 0.0), (100.0, 1e-9, 0.15)],
+    [
+        (60.0, 1e-3, 0.0),
+        (400.0, 1e-3, 0.0),
+        (478.0, 1e-3, 0.0),
+        (800.0, 1e-3, 0.0),
+        (50.0, 1 / 64, 0.0),
+        (333.3, 1e-3, 0.0),
+        (100.0, 1e-9, 0.15),
+    ],
 )
 def test_coarse_and_unsteady_times_are_no_losses(rate_hz: float, tick_s: float, jitter: float) -> None:
     samples = at_rest(rate_hz, 60_000)
@@ -289,6 +297,15 @@ def test_coarse_and_unsteady_times_are_no_losses(rate_hz: float, tick_s: float, 
     assert result.duration_s == pytest.approx(60_000 / rate_hz, rel=5e-3)
     found, expected = (np.array([axis.density.value for axis in each.axes]) for each in (result, even))
     np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
+def test_a_rate_that_changes_is_told() -> None:
+    samples = at_rest(100.0, 40_000)
+    assert not told(measure_noise([samples]).sentences, "noise.other_rate")
+    samples.time_s[:6001] = 2 * samples.time_s[:6001] - samples.time_s[6000]
+    (said,) = told(measure_noise([samples]).sentences, "noise.other_rate")
+    assert said.values["lasted_s"] == pytest.approx(460.0, abs=0.1)
+    assert said.values["counted_s"] == pytest.approx(800.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("is_copy", [True, False])
