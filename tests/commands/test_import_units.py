@@ -183,6 +183,15 @@ def test_without_stills_to_decide_by_a_size_is_said_in_deg_s(tmp_path: Path, fas
     assert words.values["found_deg"] == pytest.approx(np.degrees(fastest), rel=0.01)  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(("gravity", "unit"), [(1.1, "deg/s"), (G, "rad/s")])
+def test_at_rest_the_unit_of_the_accelerometer_decides(tmp_path: Path, gravity: float, unit: str) -> None:
+    rest = np.random.default_rng(0).normal([0, 0, gravity, 2.1, -1.4, 0.6], [*[0.003] * 3, *[0.1] * 3], (3000, 6))
+    path = tmp_path / "rest.csv"
+    np.savetxt(path, np.column_stack([np.arange(3000) / 100, rest]), delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="")
+    session, _ = import_session(ImportOptions(files=[path], output=tmp_path / "session"))
+    assert session.record.setting_values["gyroscope_unit"] == unit
+
+
 @pytest.mark.parametrize(
     ("setting", "unit", "key"),
     [({}, "deg/s", "still_scales.gyroscope"), ({"gyroscope_unit": "rad/s"}, "rad/s", "still_scales.other_gyroscope")],

@@ -345,6 +345,8 @@ def _table(
             stated[quantity] = str(unit_name(str(given.get(f"{quantity}_unit", units.get(quantity))), quantity))
         elif assumption and quantity not in units:
             guessed[quantity] = assumption
+        # Who writes g writes deg/s beside it; a turn shows it later, where there is one.
+        units = {quantity: unit, **units}
         found[f"{quantity}_unit"] = unit
         said += [assumption] if assumption else []
     if rate_hz is not None:
