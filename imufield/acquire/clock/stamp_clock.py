@@ -26,6 +26,7 @@ LONGEST_PAUSE_S = 3600.0
 # Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
 _LEAST_MOVING = 1 / 8
 _LARGEST_PART = 1 / 8  # Of a wrap: a clock set by any step then fits a whole number of wraps in a quarter of all cases at most.
+_LONGEST_OVER_A_WRAP_S = 60.0  # A longer step over the end of the range is that of a clock that began anew.
 _PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
@@ -98,7 +99,7 @@ class StampClock:
         step = stamp - self._last
         wraps = round((silence_s * self._ticks_per_s - step) / self.modulus)
         off_s = silence_s - (step + wraps * self.modulus) / self._ticks_per_s
-        if wraps <= int(step < -(self.modulus // 2)) or abs(off_s) > within_s or not self.silence_tells(within_s):
+        if wraps <= int(self._goes_round(step)) or abs(off_s) > within_s or not self.silence_tells(within_s):
             return False
         self._added, self._last = self._added + wraps * self.modulus, stamp
         return True
@@ -175,15 +176,19 @@ class StampClock:
         return np.asarray(stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s)
 
     def _unwrap(self, stamps: Ticks) -> Ticks:
-        """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
+        """Add a wrap wherever a stamp follows the one before over the end of the range."""
         before, self._last = self._last, stamps[-1].item()
         if not self.modulus:
             return stamps
-        backwards = steps_between(stamps, before) < -(self.modulus // 2)
-        added = self._added + backwards.cumsum() * self.modulus if np.count_nonzero(backwards) else np.array([self._added])
+        rounds = np.asarray(self._goes_round(steps_between(stamps, before)))
+        added = self._added + rounds.cumsum() * self.modulus if np.count_nonzero(rounds) else np.array([self._added])
         self._added = int(added[-1])
         unwrapped: Ticks = np.add(stamps, added)
         return unwrapped
+
+    def _goes_round(self, step: Ticks | float) -> NDArray[np.bool_] | bool:
+        """Return whether a step leads over the end of the range, and no further behind it than a pause is long."""
+        return (step < -(self.modulus // 2)) & (step + self.modulus <= _LONGEST_OVER_A_WRAP_S * self._ticks_per_s)
 
 
 class MeanStep:

@@ -48,3 +48,13 @@ def test_a_restart_goes_on_where_time_was() -> None:
     time_s, reset = run(stamps, ClockRule(time_field="t"), 6)
     np.testing.assert_allclose(time_s, 100 + np.arange(20) * 0.01, atol=1e-9)
     assert np.flatnonzero(reset).tolist() == [10]
+
+
+@pytest.mark.parametrize(("before_end_s", "is_reset"), [(0.05, False), (50.0, False), (70.0, True), (1290.0, True)])
+def test_a_restart_is_no_wrap_where_the_end_of_the_range_was_far(before_end_s: float, is_reset: bool) -> None:
+    rule = ClockRule(time_field="t", time_modulus=1 << 32, time_ticks_per_s=1e6)
+    last = (1 << 32) - round(before_end_s * 1e6)
+    stamps = np.concatenate([last - np.arange(9, -1, -1) * 10_000, np.arange(10) * 10_000])
+    time_s, reset = run(stamps, rule, 6)
+    assert np.flatnonzero(reset).tolist() == ([10] if is_reset else [])
+    assert time_s[10] - time_s[9] == pytest.approx(0.01 if is_reset else before_end_s)
