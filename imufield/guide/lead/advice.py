@@ -205,8 +205,10 @@ class Adviser:
         sigmas = 0.0 if self.suspects else fit.quadratic_sigmas()
         if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
             yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
-        # How alike drift and quadratic term look where the pending positions follow those so far in this order.
-        confusion = order_confusion(self._ups([*self._plan.accepted, *self._plan.pending()]))
+        # How alike drift and quadratic term look where the pending positions follow those so far as they are asked for.
+        plan = self._plan
+        asked_for = sorted(plan.pending(), key=lambda index: index != plan.preferred)
+        confusion = order_confusion(self._ups([*plan.accepted, *asked_for]))
         if confusion > MOST_CONFUSION:
             yield _ORDER.advice(now_s, confusion, MOST_CONFUSION, factor=confusion)
         # The residual cannot show a common scale far from the instrument's nominal one.

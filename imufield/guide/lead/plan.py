@@ -224,6 +224,8 @@ class Plan:
 def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: bool) -> int:
     """Return which of the positions that are left is asked for next: the first, or one that helps clearly more.
 
+    Where drift and quadratic term then look alike to the end, it is the first of those that tell them apart best.
+
     Parameters
     ----------
     fit : RunningFit
@@ -236,7 +238,13 @@ def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: b
     gain = fit.gain(left)
     # The first of those that help alike: rounding must not choose.
     best = int(np.argmax(gain > (1 - _ALIKE) * gain.max()))
-    if gain[best] <= (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
-        return 0
-    order = np.concatenate([done, left[best : best + 1], np.delete(left, best, axis=0)])
-    return best if order_confusion(order) <= MOST_CONFUSION else 0
+    helps_more = gain[best] > (1.0 if hurried else _CLEARLY_MORE) * gain[0]
+
+    def confusion(place: int) -> float:
+        return order_confusion(np.concatenate([done, left[place : place + 1], np.delete(left, place, axis=0)]))
+
+    for place in [best, 0] if helps_more else [0]:
+        if confusion(place) <= MOST_CONFUSION:
+            return place
+    all_of_them = np.array([confusion(place) for place in range(len(left))])
+    return int(np.argmax(all_of_them < (1 + _ALIKE) * all_of_them.min()))

@@ -426,7 +426,7 @@ def test_an_order_that_cannot_tell_drift_from_curvature_is_told(make_path: Any) 
     positions = scheme("paper24").positions
     faces = [position for position in positions if np.max(np.abs(position.direction)) > 0.99]
     path = make_path(100.0).hold(faces[0].direction, 6.0)
-    for position in faces[1:9]:
+    for position in faces[1:]:
         path.turn(position.direction, 1.5).hold(position.direction, 5.0)
     _, events = feed(path.samples(), "paper24")
     (told,) = [event for event in of(events, Advice) if event.topic is Topic.ORDER]

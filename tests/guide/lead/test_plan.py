@@ -3,9 +3,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
+from imufield.dataclass import replace
+from imufield.guide.cross_checks.running_fit import FEWEST, running_fit
 from imufield.guide.hold.observe import Observation
-from imufield.guide.lead.plan import Plan
+from imufield.guide.lead.plan import Plan, next_best
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
+from imufield.guide.stillness.scale import RoughScale
 from tests.guide.guided import noise_output
 
 
@@ -208,3 +213,20 @@ def test_what_is_wanted_again_comes_before_all_others(plan: Any) -> None:
     assert plan.proposed() == 3
     plan.skip(3)
     assert plan.proposed() == 2
+
+
+@pytest.mark.parametrize("first", ["x+90", "y+0", "z+0", "x+270"])
+def test_the_positions_asked_for_tell_drift_from_curvature_whichever_was_first(first: str) -> None:
+    positions, gravity = scheme("paper24"), GuideSettings().gravity
+    up = positions.directions()
+    means = [replace(observation(each.name), mean_raw=gravity.gravity_m_s2 * each.direction) for each in positions.positions]
+    fit = running_fit(means, RoughScale(accelerometer=1.0), gravity)
+    assert fit is not None
+    start = next(place for place, each in enumerate(positions.positions) if each.name == first)
+    left = [place for place in range(24) if place != start]
+    done = [start]
+    while left:
+        # Without a fit the guide asks for them in the order of the scheme.
+        asked = next_best(fit.of(done), up[done], up[left], hurried=False) if len(done) >= FEWEST and len(left) > 1 else 0
+        done.append(left.pop(asked))
+    assert order_confusion(up[done]) <= MOST_CONFUSION
