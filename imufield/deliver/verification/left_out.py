@@ -21,6 +21,8 @@ have the stated noise and nothing else go through the same steps, in the lineari
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -281,7 +283,7 @@ def cross_validate(
         From these observations; its model and signs are kept.
     observations : Observations
     hold_out : int, optional
-        Positions left out at a time. Default: ``HOLD_OUT``, or as many as leave a residual to spare.
+        Positions left out at a time. Default: ``HOLD_OUT``, or as many as leave a residual to spare and can be calibrated from.
     before : AccelerometerParameters, optional
 
     Raises
@@ -300,27 +302,27 @@ def cross_validate(
     m, fewest = len(observations), _again(calibration, observations).quality.parameters_fitted + 1
     # The scatter is that of the residuals: a fit with none to spare has rounding only, and so would the limit.
     most = m - fewest
-    hold_out = min(HOLD_OUT, most) if hold_out is None else hold_out
-    if not 1 <= hold_out <= most:
+    asked = [*range(min(HOLD_OUT, most), 0, -1)] if hold_out is None else [hold_out]
+    if not (asked and 1 <= asked[0] <= most):
         key = "left_out.hold_out" if most > 0 else "left_out.none_to_spare"
         raise UsageError(sentence(key, hold_out=hold_out, positions=m, fewest=fewest, most=most))
-    count = -(-m // hold_out)
-    residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
-    fitted: list[int] = []
-    # Every count-th position: neighbours in time, which drift alike, part ways.
-    groups = [np.arange(m) % count == first for first in range(count)]
-    for group in one_by_one("solving without some positions", groups):
+    for hold_out in asked:
+        count = -(-m // hold_out)
+        # Every count-th position: neighbours in time, which drift alike, part ways.
+        groups = [np.arange(m) % count == first for first in range(count)]
         try:
-            others = _again(calibration, observations[~group])
-        except CalibrationError as error:
-            names = [observations.name[row] for row in np.flatnonzero(group)]
-            without = sentence("left_out.without", names=names, positions=m, error=error.message)
-            raise CalibrationError(without, error.reason, **error.values) from error
-        fitted.append(others.quality.parameters_fitted)
+            solved = [*_without_each(calibration, observations, groups)]
+            break
+        except CalibrationError:
+            # A quadratic term asks more of those left than their number.
+            if hold_out == asked[-1]:
+                raise
+    residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
+    for group, others in zip(groups, solved, strict=True):
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[group], S) * int(group.sum()) / m
-    by_chance = _simulated_misfits(calibration, observations, groups, fitted)
+    by_chance = _simulated_misfits(calibration, observations, groups, [each.quality.parameters_fitted for each in solved])
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -334,6 +336,19 @@ def cross_validate(
         chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
+
+
+def _without_each(
+    calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]]
+) -> Iterator[Calibration]:
+    """Yield the calibration from the positions without each group."""
+    for group in one_by_one("solving without some positions", groups):
+        try:
+            yield _again(calibration, observations[~group])
+        except CalibrationError as error:
+            names = [observations.name[row] for row in np.flatnonzero(group)]
+            without = sentence("left_out.without", names=names, positions=len(observations), error=error.message)
+            raise CalibrationError(without, error.reason, **error.values) from error
 
 
 def _rms(values: FloatArray) -> float:

@@ -269,3 +269,14 @@ def test_without_covariance_there_is_no_forecast_but_a_residual() -> None:
     found = check_positions(unknown, observe(9), GRAVITY)
     assert np.isnan(found.misfit)
     assert found.rms_m_s2 < 3 * SIGMA
+
+
+def test_fewer_are_left_out_where_the_model_needs_more_of_the_others() -> None:
+    observations = first(18, scattered(1, 5e-4, "all26"))
+    calibration = calibrate_accelerometer(observations, GRAVITY, model="quadratic")
+    with refused(CalibrationError, key="left_out.without"):
+        cross_validate(calibration, observations, 4)
+    found = cross_validate(calibration, observations)
+    assert isinstance(found.how, Sentence)
+    assert found.how.values["hold_out"] == 3
+    assert found.misfit == cross_validate(calibration, observations, 3).misfit
