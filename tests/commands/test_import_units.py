@@ -98,8 +98,10 @@ def test_units_that_nobody_stated(tmp_path: Path, accelerometer: float, gyroscop
     assert np.abs(solved.gyroscope.parameters.scale / nominal / truth().gyroscope.scale - 1).max() < 5e-3
 
 
-def test_small_fractions_in_which_stills_show_gravity_are_solved_next(tmp_path: Path) -> None:
-    session, said = import_session(ImportOptions(files=[table(tmp_path, 0.15 / G)], output=tmp_path / "session"))
+@pytest.mark.parametrize("stated", [{}, {"accelerometer_unit": "count"}])
+def test_small_fractions_in_which_stills_show_gravity_are_solved_next(tmp_path: Path, stated: dict[str, str]) -> None:
+    options = ImportOptions(files=[table(tmp_path, 0.15 / G)], output=tmp_path / "session", settings=stated)
+    session, said = import_session(options)
     assert "tables.no_gravity" not in map(key_of, said)
     assert session.record.setting_values["accelerometer_unit"] == "count"
 
