@@ -70,8 +70,8 @@ _QUALITY_FIGURES = _names(Quality, "verdict", *_QUALITY_LISTS, *_TRIAD_VERDICTS)
 _POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
-def to_document(calibration: Calibration, observations: Observations, context: Context) -> Document:
-    """Return everything that is known about a calibration as plain Python values."""
+def to_document(calibration: Calibration, observations: Observations | None, context: Context) -> Document:
+    """Return everything that is known about a calibration as plain Python values; ``observations`` is None of no position."""
     gravity, session = calibration.gravity, context.session
     parameters, quality, gyroscope = calibration.accelerometer, calibration.quality, calibration.gyroscope
     document: Document = {
@@ -90,7 +90,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         "session": {
             "name": session.name,
             "sha256": session.sha256,
-            "positions": len(observations),
+            "positions": len(calibration.positions.used),
             "sample_rate_hz": float(session.sample_rate_hz),
             "temperature_degc": [float(value) for value in session.temperature_degc],
             **({"recorded": session.recorded} if session.recorded else {}),
@@ -125,7 +125,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         **judgement(quality),
         "unobservable": list(calibration.unobservable),
     }
-    document["position"] = _positions(calibration.positions, observations)
+    document["position"] = [] if observations is None else _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
     if calibration.budget:
         document["budget"] = {"share": [_share_table(share) for share in calibration.budget]}

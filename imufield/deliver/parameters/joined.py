@@ -16,7 +16,6 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, from_vector
-from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     GRAVITY_NAME,
     Calibration,
@@ -45,7 +44,7 @@ from imufield.deliver.parameters.gauge_free import (
 )
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, Gravity
-from imufield.samples import AXES, FloatArray, SampleUnits
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -153,7 +152,7 @@ def joined_parameters(
     calibration = _calibration(base, joint, shared, reference)
     quality = judged_by_sigma(_quality(joined, joint, warnings, notes), calibration, sentence("joined.remedy"))
     context = _context(joined, joint, dict(zip(joint.names, np.diag(shared).tolist(), strict=True)))
-    return from_document(to_document(replace(calibration, quality=quality), _no_observations(), context))
+    return from_document(to_document(replace(calibration, quality=quality), None, context))
 
 
 def _shared(tables: Sequence[Mapping[tuple[str, str], float]], names: tuple[str, ...]) -> FloatArray:
@@ -322,24 +321,3 @@ def _day_to_day(joint: Joint, shared: Mapping[str, float]) -> list[DayToDay]:
             )
         )
     return found
-
-
-def _no_observations() -> Observations:
-    """Return those of no position."""
-    none, covariance, times = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0)
-    return Observations(
-        name=(),
-        mean_raw=none,
-        covariance_raw=covariance,
-        gyroscope_mean_raw=none,
-        gyroscope_covariance_raw=covariance,
-        gyroscope_rounding_raw=none,
-        gyroscope_noise_raw=none,
-        direction=none,
-        start_s=times,
-        duration_s=times,
-        middle_s=times,
-        middle_rad=none,
-        temperature_degc=times,
-        units=SampleUnits(),
-    )
