@@ -231,17 +231,11 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
 
 def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the covariance of the parameters, shape (15, 15), that with gravity, (15,), and what of the first is gravity's."""
-    places = {name: k for k, name in enumerate(calibration.covariance_names)}
-    rows = [k for k, name in enumerate(ACCELEROMETER_NAMES) if name in places]
-    columns = [places[ACCELEROMETER_NAMES[row]] for row in rows]
-    shape = (ACCELEROMETER_PARAMETERS, ACCELEROMETER_PARAMETERS)
-    covariance, by_gravity, with_gravity = np.zeros(shape), np.zeros(shape), np.zeros(ACCELEROMETER_PARAMETERS)
-    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
-    g = places.get(GRAVITY_NAME)
-    if g is not None and calibration.covariance[g, g] > 0:
-        with_gravity[rows] = calibration.covariance[columns, g]
-        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
-    return covariance, with_gravity, by_gravity
+    both = calibration.covariance_in((*ACCELEROMETER_NAMES, GRAVITY_NAME))
+    with_gravity, variance = both[:-1, -1], both[-1, -1]
+    if not variance > 0:
+        return both[:-1, :-1], np.zeros_like(with_gravity), np.zeros_like(both[:-1, :-1])
+    return both[:-1, :-1], with_gravity, np.outer(with_gravity, with_gravity) / variance
 
 
 def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:

@@ -308,6 +308,14 @@ class Calibration:
             return "extended"
         return "quadratic" if self.quadratic_fitted else "linear"
 
+    def covariance_in(self, names: Sequence[str]) -> FloatArray:
+        """Return the covariance of n parameters in the order of their names, zero for what was not fitted, shape (n, n)."""
+        places = [place for place, name in enumerate(names) if name in self.covariance_names]
+        rows = [self.covariance_names.index(names[place]) for place in places]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(places, places)] = self.covariance[np.ix_(rows, rows)]
+        return covariance
+
 
 def without_drift(observations: Observations, calibration: Calibration) -> Observations:
     """Return the observations as they were with the bias of the calibration; the drift in between is interpolated.

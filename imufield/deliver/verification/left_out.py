@@ -75,7 +75,7 @@ def _simulated_misfits(
     """
     p = calibration.accelerometer
     at = _derivatives(p, observations)
-    known = np.diag(_covariance(calibration))[:-1] > 0
+    known = np.diag(calibration.covariance_in(ACCELEROMETER_NAMES)) > 0
     J = (at.jacobian * parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2))[:, known]
     within, m = _within(at, observations), len(observations)
     sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2 + _TINY)
@@ -426,17 +426,7 @@ def _residual(calibration: Calibration, observations: Observations, gravity: Gra
 def _forecast(calibration: Calibration, at: NormDerivatives, *, one_place: bool = True) -> FloatArray:
     """Return the covariance of the residuals as far as the parameters make them, shape (m, m)."""
     J = np.column_stack([at.jacobian, np.full(len(at.norm), -1.0 if one_place else 0.0)])
-    return np.asarray(J @ _covariance(calibration) @ J.T)
-
-
-def _covariance(calibration: Calibration) -> FloatArray:
-    """Return the covariance of the 15 parameters and gravity, zero for what was not fitted, shape (16, 16)."""
-    names = (*ACCELEROMETER_NAMES, GRAVITY_NAME)
-    own = [k for k, name in enumerate(calibration.covariance_names) if name in names]
-    places = [names.index(calibration.covariance_names[k]) for k in own]
-    covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(places, places)] = calibration.covariance[np.ix_(own, own)]
-    return covariance
+    return np.asarray(J @ calibration.covariance_in((*ACCELEROMETER_NAMES, GRAVITY_NAME)) @ J.T)
 
 
 def _misfit(residual: FloatArray, S: FloatArray) -> float:
