@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import tomli
@@ -34,8 +34,7 @@ Draw = Callable[["Figure"], None]
 """Draws into a matplotlib figure."""
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(NamedTuple):
     """One figure of the paper beside ours, as text."""
 
     what: str
@@ -170,7 +169,7 @@ def as_text(report: StudyReport) -> str:
     """Return a report for a terminal."""
     heading = f"{report.name}: {report.title}"
     lines = [heading, "-" * len(heading), hanging("", report.setting), ""]
-    cells = [report.columns, *((c.what, c.paper, c.ours) for c in report.comparisons)]
+    cells = [report.columns, *report.comparisons]
     # A table where it fits into a terminal, else one comparison below the other.
     widths = [max(len(row[k]) for row in cells) for k in range(3)]
     if sum(widths) + 2 * len(_GAP) <= WIDTH:
@@ -189,7 +188,7 @@ def as_markdown(report: StudyReport) -> str:
     """Return a report as a section of a document."""
     lines = [f"## {report.name}: {report.title}", "", report.setting, ""]
     lines += [_markdown_row(report.columns), "|---|---|---|"]
-    lines += [_markdown_row((c.what, c.paper, c.ours)) for c in report.comparisons]
+    lines += [_markdown_row(comparison) for comparison in report.comparisons]
     lines += ["", *(f"* {difference}" for difference in report.differences)]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -210,8 +209,7 @@ def save(report: StudyReport, folder: Path) -> tuple[Path, ...]:
     with typed_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     written = [folder / f"{report.name}.csv"]
-    comparisons = tuple((c.what, c.paper, c.ours) for c in report.comparisons)
-    _write_csv(written[0], CsvTable("", report.columns, comparisons))
+    _write_csv(written[0], CsvTable("", report.columns, report.comparisons))
     for table in report.tables:
         written.append(folder / f"{report.name}-{re.sub(r'[^a-z0-9]+', '-', table.name.lower())}.csv")
         _write_csv(written[-1], table)
