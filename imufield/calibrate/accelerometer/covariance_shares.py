@@ -13,6 +13,7 @@ variance for any combination of them: a Schur complement.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from imufield.calibrate.accelerometer.f_tests import Choice
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.unfitted_terms import Unshown
 from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, LEFT_OUT_SHARES
-from imufield.calibrate.model.budget import Share, root_of
+from imufield.calibrate.model.budget import Kind, Share, root_of
 from imufield.calibrate.model.uncertainty import rms
 from imufield.samples import FloatArray
 
@@ -48,35 +49,17 @@ def fit_shares(fitted: Fit, data: FitData, choice: Choice, *, factors: FloatArra
     known = np.zeros(len(J)) if data.covariance_raw is None else 1 - fitted.tau_m_s2**2 / variance
     within = np.minimum(known, ratio)
     freedom = fitted.effective_degrees_of_freedom * choice.freedom_ratio
-    yield Share(
-        name="within_hold",
-        kind="A",
-        residuals=_RESIDUALS,
-        degrees_of_freedom=freedom,
-        input_sigma=rms(np.sqrt(within * variance)),
-        input_unit="m/s^2",
-        sigma=root_of(gain**2 @ within),
-    )
-    yield Share(
-        name="between_holds",
-        kind="B" if fitted.has_typical_scatter else "A",
-        residuals=_RESIDUALS,
-        degrees_of_freedom=freedom,
-        input_sigma=rms(np.sqrt((ratio - within) * variance)),
-        input_unit="m/s^2",
-        sigma=root_of(gain**2 @ (ratio - within)),
-    )
+    of_residuals = partial(Share, residuals=_RESIDUALS, degrees_of_freedom=freedom, input_unit="m/s^2")
+    size, sigma = rms(np.sqrt(within * variance)), root_of(gain**2 @ within)
+    yield of_residuals(name="within_hold", kind="A", input_sigma=size, sigma=sigma)
+    kind: Kind = "B" if fitted.has_typical_scatter else "A"
+    size, sigma = rms(np.sqrt((ratio - within) * variance)), root_of(gain**2 @ (ratio - within))
+    yield of_residuals(name="between_holds", kind=kind, input_sigma=size, sigma=sigma)
     inverse, alone = np.linalg.inv(np.linalg.qr(J)[1]), np.linalg.inv(R)
     more = ratio * ((inverse @ inverse.T)[own, own] - alone @ alone.T)
-    yield Share(
-        name="drift" if fitted.higher is None else "higher_terms",
-        kind="A",
-        residuals=_RESIDUALS,
-        degrees_of_freedom=freedom,
-        input_sigma=rms(np.sqrt(ratio * variance)),
-        input_unit="m/s^2",
-        sigma=root_of(np.einsum("pi,ij,pj->p", basis, more, basis)) if J.shape[1] > parameters else np.zeros(len(basis)),
-    )
+    sigma = root_of(np.einsum("pi,ij,pj->p", basis, more, basis)) if J.shape[1] > parameters else np.zeros(len(basis))
+    name = "drift" if fitted.higher is None else "higher_terms"
+    yield of_residuals(name=name, kind="A", input_sigma=rms(np.sqrt(ratio * variance)), sigma=sigma)
 
 
 def hidden_shares(hidden: Unshown, open_misalignments: int, freedom: float) -> Iterator[Share]:
