@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.recording.session_record import plain_record, plain_table
 from imufield.acquire.registry import load_driver
-from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -289,14 +289,14 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, object]:
         "site": asdict(options.site),
         "accelerometer": {
             "raw_unit": units.accelerometer,
-            **_plain(instrument.accelerometer),
+            **plain_record(instrument.accelerometer),
             "mean_drift_m_s2": drift[:3],
             "bias_m_s2_per_degc": instrument.accelerometer_bias_per_degc.tolist(),
             "scale_per_degc": instrument.accelerometer_scale_per_degc.tolist(),
         },
         "gyroscope": {
             "raw_unit": units.gyroscope,
-            **_plain(instrument.gyroscope),
+            **plain_record(instrument.gyroscope),
             "mean_drift_rad_s": drift[3:],
             "bias_rad_s_per_degc": instrument.gyroscope_bias_per_degc.tolist(),
             "scale_per_degc": instrument.gyroscope_scale_per_degc.tolist(),
@@ -307,18 +307,10 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, object]:
     }
 
 
-def _plain(record: AccelerometerParameters | GyroscopeParameters | StillInterval | TrueMove) -> dict[str, object]:
-    # TOML has no null: what an instrument has not is left out.
-    values = {name: value for name, value in asdict(record).items() if value is not None}
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
-
-
 def _timed(record: StillInterval | TrueMove, imu: Imu) -> dict[str, object]:
     """Return an interval with its times on the sample clock; ``end_s`` is left out while it is not known."""
-    values = {**_plain(record), "start_s": imu.to_sample_clock(record.start_s), "end_s": imu.to_sample_clock(record.end_s)}
-    if math.isinf(record.end_s):
-        del values["end_s"]
-    return values
+    end_s = None if math.isinf(record.end_s) else imu.to_sample_clock(record.end_s)
+    return plain_table({**asdict(record), "start_s": imu.to_sample_clock(record.start_s), "end_s": end_s})
 
 
 def _truth_writer(options: Emulation, source: VirtualImu, path: Path) -> Callable[[], None]:
