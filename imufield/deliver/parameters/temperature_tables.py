@@ -25,6 +25,7 @@ BIAS_UNITS = {"accelerometer": "m_s2", "gyroscope": "rad_s"}
 _MOST_SCALE = 0.5
 _LEAST_RANGE_DEGC = 1.0  # A tenth of the shortest ramp: polynomials over less mean nothing.
 _ARRAYS = ("sensor_offset_degc", "bias_scale_covariance")  # That not every triad has.
+_SESSIONS = ("temperature_degc", "bias", "scale")
 _ROUNDING = 1e-9  # Relative: covariances are printed with all digits.
 
 
@@ -92,7 +93,7 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         hysteresis=np.array(table[f"hysteresis_{unit}"], dtype=np.float64),
         scale_separated=table["scale_separated"],
         new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
-        sessions=_sessions(table["sessions"], unit) if "sessions" in table else None,
+        sessions=SessionChanges(**_arrays(table["sessions"], unit, *_SESSIONS)) if "sessions" in table else None,
         sensor_offset_degc=np.array(table["sensor_offset_degc"]) if "sensor_offset_degc" in table else None,
         bias_scale_covariance=_between(table) if "bias_scale_covariance" in table else None,
     )
@@ -104,20 +105,13 @@ def _between(table: Document) -> FloatArray:
     return np.array(table.get("bias_scale_covariance", np.zeros((3, *orders))), dtype=np.float64).reshape(3, *orders)
 
 
-def _sessions(table: Document, unit: str) -> SessionChanges:
-    return SessionChanges(
-        temperature_degc=np.array(table["temperature_degc"], dtype=np.float64),
-        bias=np.array(table[f"bias_{unit}"], dtype=np.float64),
-        scale=np.array(table["scale"], dtype=np.float64),
-    )
+def _arrays(table: Document, unit: str, *names: str) -> dict[str, FloatArray]:
+    return {name: np.array(table[f"bias_{unit}" if name == "bias" else name], dtype=np.float64) for name in names}
 
 
 def _new_day(table: Document, unit: str) -> NewDay:
     return NewDay(
-        bias=np.array(table[f"bias_{unit}"], dtype=np.float64),
-        scale=np.array(table["scale"], dtype=np.float64),
-        bias_covariance=np.array(table["bias_covariance"], dtype=np.float64),
-        scale_covariance=np.array(table["scale_covariance"], dtype=np.float64),
+        **_arrays(table, unit, "bias", "scale", "bias_covariance", "scale_covariance"),
         bias_scale_covariance=_between(table),
         bias_freedom=float(table["bias_degrees_of_freedom"]),
         scale_freedom=float(table["scale_degrees_of_freedom"]),
