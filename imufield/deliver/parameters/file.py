@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import Calibration, GyroscopeParameters
+from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.apply import (
@@ -121,9 +121,7 @@ class Parameters:
         return at_reference(raw, temperature_degc, model, scale=parameters.scale, raw_zero=parameters.raw_zero)
 
     def _gyroscope_at_reference(self, raw: FloatArray, temperature_degc: FloatArray | float | None) -> FloatArray:
-        gyroscope = self.calibration.gyroscope
-        model = None if gyroscope is None else gyroscope.temperature
-        parameters = self._gyroscope()
+        parameters, model = self._gyroscope().parameters, self._gyroscope().temperature
         return at_reference(raw, temperature_degc, model, scale=parameters.scale, raw_zero=parameters.raw_zero)
 
     def apply_gyroscope(
@@ -150,14 +148,15 @@ class Parameters:
             If the file has no gyroscope or not its scale, a g-sensitivity was fitted and ``specific_force`` is not given, or a
             shape is wrong.
         """
-        return correct_gyroscope(self._gyroscope(), self._gyroscope_at_reference(raw, temperature_degc), specific_force)
+        there = self._gyroscope_at_reference(raw, temperature_degc)
+        return correct_gyroscope(self._gyroscope().parameters, there, specific_force)
 
-    def _gyroscope(self) -> GyroscopeParameters:
+    def _gyroscope(self) -> GyroscopeCalibration:
         if self.calibration.gyroscope is None:
             raise ParameterFileError(sentence("file.no_gyroscope", name=self._name), Reason.UNITS)
         if not self.gyroscope_is_complete:
             raise ParameterFileError(sentence("file.no_scale", name=self._name), Reason.UNITS)
-        return self.calibration.gyroscope.parameters
+        return self.calibration.gyroscope
 
     @overload
     def apply(self, raw: Samples) -> Corrected: ...
@@ -204,15 +203,14 @@ class Parameters:
             # Samples without a gyroscope are in no unit of it.
             if np.isfinite(raw.gyroscope).any():
                 self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
-            found = self.calibration.gyroscope
-            at_degc = temperatures_for(raw, None if found is None else found.temperature, 3)
+            at_degc = temperatures_for(raw, self._gyroscope().temperature, 3)
             rate = self.apply_gyroscope(raw.gyroscope_rate(), force, temperature_degc=at_degc)
             return Corrected(raw.time_s, force, rate)
         # What a caller gives may be a list, or an array of whole counts.
         raw = np.asarray(raw, dtype=np.float64)
         if raw.shape[-1:] != (6,):
             return self.apply_accelerometer(raw, temperature_degc=temperature_degc)
-        gyroscope = self._gyroscope()
+        gyroscope = self._gyroscope().parameters
         if temperature_degc is not None and self.temperature_models:
             triads = self._accelerometer_at_reference, self._gyroscope_at_reference
             raw = np.concatenate([to(raw[..., 3 * k : 3 * k + 3], temperature_degc) for k, to in enumerate(triads)], axis=-1)
