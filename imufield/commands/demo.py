@@ -12,7 +12,7 @@ import numpy as np
 
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, names_of
 from imufield.calibrate.model.rotation import unit_vectors
 from imufield.commands.options.acquire_commands import DemoOptions
 from imufield.commands.terminal.emulated import capture, emulator
@@ -40,12 +40,7 @@ GRADE = "industrial"
 """Of its instrument: better ones change too little over 60 degC to be seen in short holds."""
 POSES = 200
 
-INTRINSIC_NAMES = (
-    *(f"scale {axis}" for axis in "xyz"),
-    *(f"bias {axis}" for axis in "xyz"),
-    *(f"angle {pair}" for pair in ("x-y", "x-z", "y-z")),
-    *(f"quadratic {axis}" for axis in "xyz"),
-)
+INTRINSIC_NAMES = names_of("{} {}", scale=AXES, bias=AXES, angle=("x-y", "x-z", "y-z"), quadratic=AXES)
 
 
 def run_demo(options: DemoOptions) -> int:
@@ -180,14 +175,10 @@ def _stated_mg(parameters: Parameters, temperature_degc: float) -> float:
 def _true_accelerometer(truth: dict[str, Any]) -> AccelerometerParameters:
     """Return the true parameters, of an instrument at the reference temperature of the simulator."""
     table = truth["accelerometer"]
-    return AccelerometerParameters(
-        scale=np.array(table["scale"]),
-        bias_m_s2=np.array(table["bias_m_s2"]),
-        misalignment_rad=np.array(table["misalignment_rad"]),
-        quadratic=np.array(table["quadratic"]),
-        raw_zero=np.array(table["raw_zero"]),
-        quadratic_axes=table["quadratic_axes"],
-    )
+    arrays: dict[str, Any] = {
+        key: np.array(table[key]) for key in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")
+    }
+    return AccelerometerParameters(**arrays, quadratic_axes=table["quadratic_axes"])
 
 
 def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:

@@ -27,18 +27,14 @@ from imufield.calibrate.accelerometer.swarm_coordinates import observable_basis
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import generators
-from imufield.calibrate.model.result import QuadraticAxes
+from imufield.calibrate.model.result import ANGLES, QuadraticAxes, names_of
 from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.dataclass import dataclass
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 
-INTRINSIC_NAMES = tuple(
-    f"{kind} {axis}"
-    for kind, axes in (("scale", "xyz"), ("bias", "xyz"), ("angle", ("xy", "xz", "yz")), ("K2", "xyz"))
-    for axis in axes
-)
+INTRINSIC_NAMES = names_of("{} {}", scale=AXES, bias=AXES, angle=ANGLES, K2=AXES)
 _ROUNDS = 4  # Of linearising: the norm is nearly linear over the errors of a preset.
 
 

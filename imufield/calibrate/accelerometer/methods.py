@@ -29,23 +29,19 @@ from imufield.calibrate.model.models import (
     without_higher,
 )
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration, without_drift
+from imufield.calibrate.model.result import ANGLES, AccelerometerParameters, Calibration, names_of, without_drift
 from imufield.calibrate.model.uncertainty import known_covariance, rms, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.dataclass import dataclass, replace
-from imufield.samples import FloatArray, median
+from imufield.samples import AXES, FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-GAUGE_FREE_NAMES = tuple(
-    f"intrinsic.{kind}.{axis}"
-    for kind, axes in (("scale", "xyz"), ("bias_raw", "xyz"), ("angle_rad", ("xy", "xz", "yz")), ("quadratic", "xyz"))
-    for axis in axes
-)
+GAUGE_FREE_NAMES = names_of("intrinsic.{}.{}", scale=AXES, bias_raw=AXES, angle_rad=ANGLES, quadratic=AXES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

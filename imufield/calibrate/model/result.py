@@ -22,24 +22,27 @@ Gauge = Literal["preset", "lower", "upper", "symmetric"]
 QuadraticAxes = Literal["sensing", "body"]
 ModelChoice = Literal["linear", "quadratic", "extended", "auto"]
 
-ACCELEROMETER_NAMES = (
-    *(f"accelerometer.scale.{axis}" for axis in AXES),
-    *(f"accelerometer.bias_m_s2.{axis}" for axis in AXES),
-    *(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
-    *(f"accelerometer.quadratic.{axis}" for axis in AXES),
+ANGLES = ("xy", "xz", "yz")
+MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
+PAIRS = tuple(row + column for row in AXES for column in AXES)
+"""Of a whole matrix, row by row."""
+
+
+def names_of(form: str, **places: Sequence[str]) -> tuple[str, ...]:
+    """Return a name for each place of each kind: ``form`` with both, such as "{} {}"."""
+    return tuple(form.format(kind, place) for kind, of_kind in places.items() for place in of_kind)
+
+
+ACCELEROMETER_NAMES = names_of(
+    "accelerometer.{}.{}", scale=AXES, bias_m_s2=AXES, misalignment_rad=MISALIGNMENTS, quadratic=AXES
 )
 """The 15 accelerometer parameters in the order of every vector and covariance matrix.
 
 ``misalignment_rad.xy`` is row x, column y of T - I.
 """
-GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
+GYROSCOPE_BIAS_NAMES = names_of("gyroscope.{}.{}", bias=AXES)
 """Names of the static gyroscope parameters, raw unit."""
-GYROSCOPE_NAMES = (
-    *(f"gyroscope.scale.{axis}" for axis in AXES),
-    *(f"gyroscope.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
-    *GYROSCOPE_BIAS_NAMES,
-    *(f"gyroscope.g_sensitivity.{row}{column}" for row in AXES for column in AXES),
-)
+GYROSCOPE_NAMES = names_of("gyroscope.{}.{}", scale=AXES, misalignment_rad=MISALIGNMENTS, bias=AXES, g_sensitivity=PAIRS)
 """The 21 gyroscope parameters in the order of every vector and covariance matrix."""
 GRAVITY_NAME = "gravity_m_s2"
 VERDICTS = ("good", "usable", "poor")

@@ -24,8 +24,9 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, unit_diagonal_matrices
+from imufield.calibrate.model.result import MISALIGNMENTS, names_of
 from imufield.dataclass import dataclass
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 
 
 def inverse_matrices(T: FloatArray) -> FloatArray:
@@ -37,8 +38,7 @@ def inverse_matrices(T: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.inv(T), dtype=np.float64)
 
 
-TRIAD_NAMES = tuple(f"{kind}.{axis}" for kind, axes in (
-    ("K", "xyz"), ("E", ("xy", "xz", "yx", "yz", "zx", "zy")), ("n0", "xyz")) for axis in axes)  # fmt: skip
+TRIAD_NAMES = names_of("{}.{}", K=AXES, E=MISALIGNMENTS, n0=AXES)
 """The vector of eq. 8 and 19 of [1]_."""
 
 

@@ -38,11 +38,15 @@ from imufield.calibrate.model.models import PARAMETERS, QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
+    ANGLES,
     GRAVITY_NAME,
     GYROSCOPE_NAMES,
+    MISALIGNMENTS,
+    PAIRS,
     Calibration,
     GyroscopeParameters,
     QuadraticAxes,
+    names_of,
 )
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import without_gravity
@@ -53,23 +57,10 @@ from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
-# Places of the numbers, in the order of the file.
-_ANGLES = ("xy", "xz", "yz")
-_MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
-_SENSITIVITIES = tuple(row + column for row in AXES for column in AXES)
-NAMES = tuple(
-    f"{kind} {place}"
-    for kind, places in (
-        ("scale", AXES),
-        ("bias", AXES),
-        ("angle", _ANGLES),
-        ("quadratic", AXES),
-        ("gyroscope bias", AXES),
-        ("gyroscope scale", AXES),
-        ("gyroscope misalignment", _MISALIGNMENTS),
-        ("g-sensitivity", _SENSITIVITIES),
-    )
-    for place in places
+NAMES = (
+    *names_of("{} {}", scale=AXES, bias=AXES, angle=ANGLES, quadratic=AXES),
+    *names_of("gyroscope {} {}", bias=AXES, scale=AXES, misalignment=MISALIGNMENTS),
+    *names_of("g-{} {}", sensitivity=PAIRS),
 )
 """Of every gauge-free number, in the order of ``si_values``."""
 UNITS = {
@@ -90,7 +81,7 @@ _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest b
 _TINY = np.finfo(np.float64).tiny
 # Of the whole over its part: what choosing counts are other residuals, with a third of the variance at least.
 _LEAST_RATIO = 0.3
-FIXED_NAMES = tuple(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yz"))
+FIXED_NAMES = names_of("accelerometer.{}.{}", misalignment_rad=ANGLES)
 """Zero in the lower gauge."""
 PARAMETER_NAMES = (*ACCELEROMETER_NAMES, *GYROSCOPE_NAMES)
 """Of what ``lower_parameters`` returns, as covariances name them."""
@@ -344,7 +335,7 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
     if gyroscope is None or not np.isfinite(gyroscope.parameters.scale).all():
         return
     # In the order of NAMES. What is not in the covariance was not estimated.
-    keys = (("bias", AXES), ("scale", AXES), ("misalignment_rad", _MISALIGNMENTS), ("g_sensitivity", _SENSITIVITIES))
+    keys = (("bias", AXES), ("scale", AXES), ("misalignment_rad", MISALIGNMENTS), ("g_sensitivity", PAIRS))
     own = [f"gyroscope.{key}.{place}" in calibration.covariance_names for key, places in keys for place in places]
     sigma = np.where(own, sigma, np.nan)
     # A bias depends on the scatter between the stills, and everything else on their biases.

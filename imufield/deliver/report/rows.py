@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.calibrate.model.result import MISALIGNMENTS, PAIRS, Calibration, GyroscopeCalibration
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, rounded, with_sigma
@@ -146,8 +146,7 @@ def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | N
     if np.any(p.g_sensitivity):
         size_of_row = np.repeat(STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S / p.scale, 3)
         numbers = _numbers(*sources, "g_sensitivity")
-        places = tuple(f"{row}{column}" for row in AXES for column in AXES)
-        yield _quantity(triad, "g-sensitivity", "°/h/g", numbers, factor=size_of_row, places=places)
+        yield _quantity(triad, "g-sensitivity", "°/h/g", numbers, factor=size_of_row, places=PAIRS)
 
 
 def _numbers(parameters: object, sigma: object, preset: object | None, key: str) -> FloatArray:
@@ -181,5 +180,4 @@ def _scale(triad: str, raw_unit: str, per: str, numbers: FloatArray) -> Quantity
 
 def _misalignment(triad: str, numbers: FloatArray) -> Quantity:
     off_diagonal = ~np.eye(3, dtype=np.bool_).ravel()  # the diagonal belongs to the scale
-    places = tuple(row + column for row in AXES for column in AXES if row != column)
-    return _quantity(triad, "misalignment", "mrad", numbers[:, off_diagonal], factor=1e3, places=places)
+    return _quantity(triad, "misalignment", "mrad", numbers[:, off_diagonal], factor=1e3, places=MISALIGNMENTS)
