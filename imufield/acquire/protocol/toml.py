@@ -55,7 +55,7 @@ class Source:
 
     def parse(self) -> dict[str, object]:
         """Parse the text as TOML; raises ProtocolError as ``parse_toml``."""
-        return {key: _copy(value) for key, value in _parsed(self.text, self.label).items()}
+        return {key: _copy(value) for key, value in _parsed(self.text, self.label, ProtocolError).items()}
 
 
 def _about(message: Sentence, problem: str, key: str) -> Sentence:
@@ -73,9 +73,7 @@ def _copy(value: object) -> object:
 
 
 # Recognising an instrument reads each protocol several times, and reading the text is most of the work.
-@lru_cache(maxsize=64)
-def _parsed(text: str, label: str) -> dict[str, object]:
-    return parse_toml(text, label, ProtocolError)
+_parsed = lru_cache(maxsize=64)(parse_toml)
 
 
 @dataclass(slots=True, kw_only=True)

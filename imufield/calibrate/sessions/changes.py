@@ -258,8 +258,7 @@ class KindTest:
     def shapes(self) -> _Shapes:
         """Every step and the drift."""
         h, a = len(self.sessions), len(self.names)
-        columns = [(k, (np.arange(h) >= k).astype(np.float64)) for k in range(1, h)]
-        shapes: list[tuple[int | None, FloatArray]] = [*columns]
+        shapes: list[tuple[int | None, FloatArray]] = [(k, (np.arange(h) >= k).astype(np.float64)) for k in range(1, h)]
         # Of two sessions, or of days that are one, a drift is a step.
         if h >= FEWEST and np.ptp(self.day) > 0:
             shapes.append((None, self.day - self.day.mean()))

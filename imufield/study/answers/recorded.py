@@ -70,10 +70,6 @@ def _instrument(seed: int) -> TrueInstrument:
     return draw_truth(find_grade("mems"), np.random.default_rng([seed, 401]))
 
 
-def _played(instrument: TrueInstrument, seed: int, rate_hz: float, operator: Operator) -> VirtualImu:
-    return VirtualImu(Imu(instrument, seed, ImuSettings(rate_hz=rate_hz)), operator)
-
-
 def _blocks(source: VirtualImu, more_s: float = 0.0) -> Iterator[Samples]:
     """Yield the samples of all that is planned, and some seconds more."""
     left = int((source.operator.plan_all() + more_s) / source.interval_s)
@@ -145,7 +141,7 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
     seed, peak = int(rng.integers(1 << 31)), math.radians(math.exp(rng.uniform(*np.log(PEAK_DEG_S))))
     habits = OperatorSettings(hold_s=4.0, initial_still_s=4.0, turn_s=(1.5, 2.5), peak_rate_rad_s=peak)
     operator = Operator(rng.standard_normal((HOLDS, 3)), seed, habits)
-    in_si = [*_blocks(_played(truth, seed, RATE_HZ, operator))]
+    in_si = [*_blocks(VirtualImu(Imu(truth, seed, ImuSettings(rate_hz=RATE_HZ)), operator))]
     table = [replace(block, gyroscope=block.gyroscope * UNITS[unit]) for block in in_si]
     scales = find_scales(table, np.zeros(3))
     chosen, _ = scales.choose({}, TRIADS)
