@@ -26,6 +26,7 @@ _MOST_SCALE = 0.5
 _LEAST_RANGE_DEGC = 1.0  # A tenth of the shortest ramp: polynomials over less mean nothing.
 _ARRAYS = ("sensor_offset_degc", "bias_scale_covariance")  # That not every triad has.
 _SESSIONS = ("temperature_degc", "bias", "scale")
+_NEW_DAY = ("bias", "scale", "bias_covariance", "scale_covariance")
 _ROUNDING = 1e-9  # Relative: covariances are printed with all digits.
 
 
@@ -93,7 +94,7 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         hysteresis=np.array(table[f"hysteresis_{unit}"], dtype=np.float64),
         scale_separated=table["scale_separated"],
         new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
-        sessions=SessionChanges(**_arrays(table["sessions"], unit, *_SESSIONS)) if "sessions" in table else None,
+        sessions=SessionChanges(**_arrays(table["sessions"], unit, _SESSIONS)) if "sessions" in table else None,
         sensor_offset_degc=np.array(table["sensor_offset_degc"]) if "sensor_offset_degc" in table else None,
         bias_scale_covariance=_between(table) if "bias_scale_covariance" in table else None,
     )
@@ -105,13 +106,13 @@ def _between(table: Document) -> FloatArray:
     return np.array(table.get("bias_scale_covariance", np.zeros((3, *orders))), dtype=np.float64).reshape(3, *orders)
 
 
-def _arrays(table: Document, unit: str, *names: str) -> dict[str, FloatArray]:
+def _arrays(table: Document, unit: str, names: tuple[str, ...]) -> dict[str, FloatArray]:
     return {name: np.array(table[f"bias_{unit}" if name == "bias" else name], dtype=np.float64) for name in names}
 
 
 def _new_day(table: Document, unit: str) -> NewDay:
     return NewDay(
-        **_arrays(table, unit, "bias", "scale", "bias_covariance", "scale_covariance"),
+        **_arrays(table, unit, _NEW_DAY),
         bias_scale_covariance=_between(table),
         bias_freedom=float(table["bias_degrees_of_freedom"]),
         scale_freedom=float(table["scale_degrees_of_freedom"]),
