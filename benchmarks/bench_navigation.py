@@ -24,7 +24,7 @@ from imufield.samples import FloatArray, Samples
 from imufield.simulate.truth.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site, sample_motion
-from imufield.simulate.truth.pieces import Piece
+from imufield.simulate.truth.motion_pieces import Piece
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "calibrate"))
 from gyroscope_sessions import simulate, steady

@@ -21,8 +21,8 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.turn_fit import minimum_jerk
 from imufield.samples import CELL_S, Samples, concatenate
 from imufield.simulate.truth.imu import Imu
+from imufield.simulate.truth.motion_pieces import Piece
 from imufield.simulate.truth.operator import Operator
-from imufield.simulate.truth.pieces import Piece
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from imufield.deliver.report.data import (
     with_gyroscope,
 )
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
-from imufield.deliver.report.trace import Trace, trace
+from imufield.deliver.report.stillness_trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError, load_package
 from imufield.files import real_path, refuse_overwriting, utf8_text

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
+from imufield.calibrate.sessions.accuracy_forecast import Forecast, forecast
 from imufield.calibrate.sessions.changes import FEWEST, DatedNumbers, day_to_day
-from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.deliver.history import STALE_DAYS, Entry, History
 from imufield.deliver.judged_history import JudgedHistory, changes_between, dated_numbers, in_one_model

@@ -11,7 +11,7 @@ from imufield.calibrate.model.observations import Observations, join_observation
 from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves
 from imufield.calibrate.moves.slots import Slots, no_slots
 from imufield.dataclass import dataclass, replace
-from imufield.deliver.report.trace import TraceCells, TraceCollector
+from imufield.deliver.report.stillness_trace import TraceCells, TraceCollector
 from imufield.guide.events import VERTICAL, Event, LinkLost, Rejected, Turned
 from imufield.samples import FloatArray, Samples, concatenate
 

@@ -25,7 +25,7 @@ from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.moves.slots import Slots
 from imufield.dataclass import fields, is_dataclass
-from imufield.deliver.report.trace import TraceCells
+from imufield.deliver.report.stillness_trace import TraceCells
 from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
 from imufield.guide.positions import SCHEME_FILE
 from imufield.pipeline.reading import Reading

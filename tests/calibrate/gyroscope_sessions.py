@@ -31,8 +31,8 @@ from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
+from imufield.simulate.truth.motion_pieces import Piece
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.pieces import Piece
 
 BLOCK = 4000
 Damage = Callable[[Samples], Samples]

@@ -31,7 +31,7 @@ from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
 from tests.commands import at_start
 from tests.commands.pty_terminal import Terminal

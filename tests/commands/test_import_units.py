@@ -24,7 +24,7 @@ from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from tests.commands.told import fails, missing
 from tests.refused import refused
 from tests.told import key_of, told

@@ -22,7 +22,7 @@ from imufield.simulate.instruments.device import Device, Frames
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from tests.commands.told import missing
 from tests.told import key_of
 

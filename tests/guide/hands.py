@@ -10,7 +10,7 @@ import numpy as np
 from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from imufield.simulate.truth.motion import Site, sample_motion
-from imufield.simulate.truth.pieces import Hand, draw_hand
+from imufield.simulate.truth.motion_pieces import Hand, draw_hand
 
 _Z_UP = np.array([0.0, 1.0, 0.0, 0.0])
 """The local level frame is north, east, down: half a turn about north."""

@@ -31,7 +31,7 @@ from imufield.simulate.emulator.emulate import (
 from imufield.simulate.emulator.slcan import format_frame
 from imufield.simulate.instruments.protocol_device import InProtocolUnits
 from imufield.simulate.instruments.vectornav import sentence
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.torture.hostile_values import ESCAPES, MEBIBYTE, NUMBERS, hostile_bytes
 

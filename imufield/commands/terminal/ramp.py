@@ -7,8 +7,8 @@ import math
 import sys
 
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.temperature.progress import EVEN_DEGC_PER_MIN, RampProgress, ramp_progress
 from imufield.calibrate.temperature.ramp import FASTEST_DEGC_PER_MIN, LEAST_SPAN_DEGC
+from imufield.calibrate.temperature.ramp_progress import EVEN_DEGC_PER_MIN, RampProgress, ramp_progress
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, UsageError

@@ -18,7 +18,7 @@ from imufield.calibrate.model.result import Calibration
 from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
-from imufield.deliver.navigation.forecast import RUNS, DriftForecast, RandomErrors, Scene, forecast
+from imufield.deliver.navigation.drift_forecast import RUNS, DriftForecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters.file import Corrected

@@ -14,7 +14,7 @@ from imufield.calibrate.solvers.registry import load_solver
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
-from imufield.deliver.report.trace import Trace
+from imufield.deliver.report.stillness_trace import Trace
 from imufield.errors import CalibrationError
 from imufield.progress import task
 from imufield.samples import FloatArray, SampleUnits

@@ -14,7 +14,7 @@ from imufield.deliver.report.data import Closure, Convergence
 from imufield.deliver.report.gain import Gain
 from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
-from imufield.deliver.report.trace import Trace
+from imufield.deliver.report.stillness_trace import Trace
 from imufield.drawing.style import BLUE, GREY, INK, ORANGE
 from imufield.drawing.svg import FONT_PT, POINTS_PER_INCH, SMALL_PT, Axes, Picture, Scale, text_width
 from imufield.earth import MILLI_G_M_S2

@@ -26,7 +26,7 @@ from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSett
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults, error_burst
 from imufield.simulate.emulator.port import PseudoTerminal
 from imufield.simulate.emulator.slcan import SLCAN, SlcanDevice
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 from imufield.simulate.wire.can_frames import CanEncoder
 
 _REQUEST_PF = 0xEA  # SAE J1939-21: the PGN of a request is 0xEA00, its data the PGN asked for.

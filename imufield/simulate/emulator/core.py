@@ -22,7 +22,7 @@ from imufield.errors import UsageError
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.faults import Chances
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 
 sentence = Sentences(__package__)
 

@@ -38,7 +38,7 @@ from imufield.simulate.truth.grades import REFERENCE_TEMPERATURE_DEGC, draw_trut
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
 from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove, Visit
-from imufield.simulate.truth.source import SampleSource, VirtualImu
+from imufield.simulate.truth.virtual_imu import SampleSource, VirtualImu
 from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
 from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
 from imufield.version import __version__

@@ -17,7 +17,7 @@ from imufield.simulate.emulator.core import LINGER_S, SLICE_S, EmulatorCore, Emu
 from imufield.simulate.emulator.faults import FaultInjector, Faults
 from imufield.simulate.emulator.port import PseudoTerminal
 from imufield.simulate.instruments.device import Device
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 
 
 class Emulator(EmulatorCore):

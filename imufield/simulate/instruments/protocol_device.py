@@ -13,7 +13,7 @@ from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples
 from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 from imufield.simulate.wire.forms import WireForm
 from imufield.simulate.wire.frames import FrameEncoder, WireClock
 from imufield.simulate.wire.lines import LineEncoder, SentenceEncoder

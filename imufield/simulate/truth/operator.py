@@ -1,6 +1,6 @@
 """A virtual operator who turns the unit by hand from position to position.
 
-The motion is a chain of pieces (``pieces.py``), planned one visit ahead. Each visit draws from its own stream of random
+The motion is a chain of pieces (``motion_pieces.py``), planned one visit ahead. Each visit draws from its own stream of random
 numbers, so what happens in a visit depends on the seed and the number of the visit only. ``stills`` and ``moves`` record what
 the operator did: the truth that a detector is compared with.
 
@@ -23,7 +23,7 @@ from imufield.errors import UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction
-from imufield.simulate.truth.pieces import Hand, Piece, Shock, draw_hand
+from imufield.simulate.truth.motion_pieces import Hand, Piece, Shock, draw_hand
 
 sentence = Sentences(__package__)
 

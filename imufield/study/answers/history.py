@@ -12,8 +12,8 @@ from functools import cache, partial
 
 import numpy as np
 
+from imufield.calibrate.sessions.accuracy_forecast import Forecast, forecast
 from imufield.calibrate.sessions.changes import DatedNumbers, judge
-from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.joint import SessionNumbers
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.dataclass import replace

@@ -41,7 +41,7 @@ from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from imufield.study.answers.means import answer_of
 from imufield.study.answers.tables import Rows, Statistics, Study, Table
 

@@ -12,7 +12,7 @@ from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import NO_POSITION, Operator, OperatorSettings, Visit
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from tests.told import key_of
 
 G = 9.80665

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, ndtri
 
+from imufield.calibrate.sessions.accuracy_forecast import Forecast, NoForecast, forecast
 from imufield.calibrate.sessions.changes import DatedNumbers, Judged, KindTest, day_to_day, judge
-from imufield.calibrate.sessions.forecast import Forecast, NoForecast, forecast
 from imufield.samples import FloatArray
 
 pytestmark = pytest.mark.numerical

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from imufield.calibrate.temperature.progress import ramp_progress
 from imufield.calibrate.temperature.ramp import FASTEST_DEGC_PER_MIN
+from imufield.calibrate.temperature.ramp_progress import ramp_progress
 from imufield.commands.terminal.ramp import RampSpeaker
 from imufield.samples import FloatArray
 from tests.calibrate.temperature.ramp_under_way import AT_DEGC, TIME_S, pose

@@ -18,7 +18,7 @@ from imufield.deliver.report.data import Closure, Convergence, ReportData
 from imufield.deliver.report.page import render_record, render_report, to_pdf
 from imufield.deliver.report.plots import label_offsets, sphere_map
 from imufield.deliver.report.rows import Row, parameter_rows
-from imufield.deliver.report.trace import Trace
+from imufield.deliver.report.stillness_trace import Trace
 from imufield.errors import Reason, UsageError
 from tests.refused import refused
 

@@ -21,8 +21,8 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.motion_pieces import Shock
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.pieces import Shock
 from tests.guide.guided import cells_of, is_said_by
 
 pytestmark = pytest.mark.numerical

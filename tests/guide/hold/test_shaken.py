@@ -15,7 +15,7 @@ from imufield.samples import Samples, make_samples
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from tests.guide.guided import find_still_intervals
 
 RATE_HZ = 100.0

@@ -12,7 +12,7 @@ from imufield.samples import FloatArray, Samples
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 
 HABITS = OperatorSettings(hold_s=3.0, initial_still_s=5.0, turn_s=(2.0, 3.0), peak_rate_rad_s=np.radians(60))
 RATE_HZ = 50.0

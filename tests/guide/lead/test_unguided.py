@@ -24,7 +24,7 @@ from imufield.samples import Samples, SampleUnits, make_samples, no_samples
 from imufield.simulate.truth.grades import draw_truth, find_grade, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from tests.guide.guided import find_still_intervals
 from tests.refused import refused
 

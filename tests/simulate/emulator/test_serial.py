@@ -21,7 +21,7 @@ from imufield.simulate.instruments.stim300 import Stim300Device, utility_message
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator
-from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.truth.virtual_imu import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
 from tests.refused import refused
 

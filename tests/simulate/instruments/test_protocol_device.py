@@ -17,7 +17,7 @@ from imufield.samples import Samples, Status, concatenate
 from imufield.simulate.emulator.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
 from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
-from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.truth.virtual_imu import SampleSource
 from imufield.simulate.wire.forms import choose_form, wire_forms
 from tests.acquire.own_protocols import FRAMES, LINES, changed
 from tests.refused import refused

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.report.trace import CELL_S, TraceCollector
+from imufield.deliver.report.stillness_trace import CELL_S, TraceCollector
 from imufield.samples import SampleUnits, make_samples
 
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from imufield.calibrate.temperature.progress import RampProgress, ramp_progress
 from imufield.calibrate.temperature.ramp import in_one_pose
+from imufield.calibrate.temperature.ramp_progress import RampProgress, ramp_progress
 from tests.calibrate.temperature.ramp_under_way import AT_DEGC, TIME_S, pose
 
 

@@ -10,7 +10,7 @@ import pytest
 from at_rest import DEG_PER_HOUR, GRAVITY_M_S2, LATITUDE_DEG, MICRO_G, perfect, random_attitude, recording
 
 from imufield.deliver.navigation.alignment import Alignment, earth_rate, rotation
-from imufield.deliver.navigation.forecast import RandomErrors, Scene, forecast, simulate, system, transition
+from imufield.deliver.navigation.drift_forecast import RandomErrors, Scene, forecast, simulate, system, transition
 from imufield.deliver.navigation.mechanise import Mechanisation
 from imufield.samples import FloatArray
 
