@@ -485,7 +485,7 @@ SNAPSHOT = """\
 │ to target ................                 ││                                │
 │ hold      ................                 ││                                │
 │ stillness ##......|....... still           ││                                │
-│ vibration 11, limit 50 mm/s^2 (acc z)      ││                                │
+│ acc z: vibration 11, limit 50 mm/s^2       ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
  noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
