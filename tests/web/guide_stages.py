@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.guide.events import Event, Move
+from imufield.guide.events import Event, Move, Turning
 from imufield.guide.lead.guide import Guide, Snapshot
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
@@ -61,6 +61,8 @@ class StagedSession:
             positions, session="2026-03-14-workshop", instrument=instrument, cable="-x", replay_speed=replay_speed
         )
         self._events: list[Event] = []
+        self.turning: Turning | None = None
+        """The newest, a few of which are told a second."""
 
     def stages(self) -> Iterator[str]:
         """Run the session; yield the name of each stage while the page's board holds it."""
@@ -142,6 +144,8 @@ class StagedSession:
             events = self.guide.feed(change(samples))
             self._events += events
             for event in events:
+                if isinstance(event, Turning):
+                    self.turning = event
                 if isinstance(event, Move):
                     self._source.operator.show(Visit(NO_POSITION, self._directions[event.position]))
                     self._shown("")

@@ -122,8 +122,9 @@ def findings(browser: Browser) -> Iterator[Findings]:
             staged.wait_for(page, stage)
             find(page, stage, found)
             if stage == "settling":
-                now = staged.guide.snapshot()
-                to_goal_deg = angle_deg(np.array(now.direction), np.array(now.target_direction))
+                assert staged.turning is not None
+                goal = staged.guide.snapshot().target_direction
+                to_goal_deg = angle_deg(np.array(staged.turning.direction), np.array(goal))
                 found.angles.append((page.locator("#ring text").text_content() or "", to_goal_deg))
         found.console = list(screens.console)
         server.end(ENDED)
