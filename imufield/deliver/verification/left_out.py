@@ -21,7 +21,8 @@ have the stated noise and nothing else go through the same steps, in the lineari
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,17 +307,7 @@ def cross_validate(
     if not (asked and 1 <= asked[0] <= most):
         key = "left_out.hold_out" if most > 0 else "left_out.none_to_spare"
         raise UsageError(sentence(key, hold_out=hold_out, positions=m, fewest=fewest, most=most))
-    for hold_out in asked:
-        count = -(-m // hold_out)
-        # Every count-th position: neighbours in time, which drift alike, part ways.
-        groups = [np.arange(m) % count == first for first in range(count)]
-        try:
-            solved = [*_without_each(calibration, observations, groups)]
-            break
-        except CalibrationError:
-            # A quadratic term asks more of those left than their number.
-            if hold_out == asked[-1]:
-                raise
+    hold_out, groups, solved = _without_groups(calibration, observations, asked)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     for group, others in zip(groups, solved, strict=True):
         residual[group], S = _residual(others, observations[group], calibration.gravity)
@@ -336,6 +327,25 @@ def cross_validate(
         chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
+
+
+def _without_groups(
+    calibration: Calibration, observations: Observations, asked: Sequence[int]
+) -> tuple[int, list[NDArray[np.bool_]], list[Calibration]]:
+    """Return the first of these numbers of positions that can be left out at a time, the groups, and what the others show."""
+    *larger, least = asked
+
+    def solved(hold_out: int) -> tuple[int, list[NDArray[np.bool_]], list[Calibration]]:
+        count = -(-len(observations) // hold_out)
+        # Every count-th position: neighbours in time, which drift alike, part ways.
+        groups = [np.arange(len(observations)) % count == first for first in range(count)]
+        return hold_out, groups, [*_without_each(calibration, observations, groups)]
+
+    for hold_out in larger:
+        # A quadratic term asks more of those left than their number.
+        with suppress(CalibrationError):
+            return solved(hold_out)
+    return solved(least)
 
 
 def _without_each(
