@@ -39,7 +39,7 @@ class GuidePage:
     cable : str or None
         Face where the cable leaves, "-x".
     shape : str or None
-        Triangles to be drawn in place of a box, see ``shape.read_stl``.
+        Triangles to be drawn in place of a box, see ``stl_file.read_stl``.
     replay_speed : float or None
         Of a recording, times its own; 0 is as fast as possible. None for a session that is measured now.
     """

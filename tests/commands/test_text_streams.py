@@ -147,7 +147,7 @@ def test_what_was_recognised_holds_when_the_session_goes_on(program: Program, dr
             process = program.start("capture", *how, "--session", "mine", "--json")
             assert process.stdout is not None
             assert '"session"' in process.stdout.readline()
-            assert '"' in process.stdout.readline()
+            assert json.loads(process.stdout.readline())["event"]  # It is under way.
             process.terminate()
             assert process.wait(60) == 130
             process.communicate()

@@ -26,7 +26,7 @@ LONGEST_PAUSE_S = 3600.0
 # Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
 _LEAST_MOVING = 1 / 8
 _LARGEST_PART = 1 / 8  # Of a wrap: a clock set by any step then fits a whole number of wraps in a quarter of all cases at most.
-_LONGEST_OVER_A_WRAP_S = 60.0  # A longer step over the end of the range is that of a clock that began anew.
+_LONGEST_OVER_A_WRAP_S = 60.0  # A longer step over the end of the range is a clock that began anew, if no host tells more.
 _PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
@@ -187,8 +187,9 @@ class StampClock:
         return unwrapped
 
     def _goes_round(self, step: Ticks | float) -> NDArray[np.bool_] | bool:
-        """Return whether a step leads over the end of the range, and no further behind it than a pause is long."""
-        return (step < -(self.modulus // 2)) & (step + self.modulus <= _LONGEST_OVER_A_WRAP_S * self._ticks_per_s)
+        """Return whether a step leads over the end of the range and 60 s further at most."""
+        ahead = step + self.modulus
+        return (step < -(self.modulus // 2)) & (ahead >= 0) & (ahead <= _LONGEST_OVER_A_WRAP_S * self._ticks_per_s)
 
 
 class MeanStep:

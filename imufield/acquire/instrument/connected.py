@@ -14,6 +14,7 @@ from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.protocol.settings import with_origin
 from imufield.acquire.recording.recorder import protocol_tables
 from imufield.dataclass import dataclass, field
 from imufield.errors import LinkError, Reason
@@ -178,10 +179,7 @@ def with_settings(
     set_rate: dict[str, object] = {} if rate_hz is None or not by_increment else {"rate_hz": rate_hz}
     if driver is None or not (set_rate or driver.read_settings(messages)):
         return protocol
-    given, read = (
-        {name: setting.value for name, setting in protocol.settings.items() if setting.origin == origin}
-        for origin in ("given", "read")
-    )
+    given, read = with_origin(protocol.settings, "given"), with_origin(protocol.settings, "read")
     return driver.load_protocol({**given, **set_rate}, messages=messages, known=read)
 
 

@@ -20,6 +20,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.protocol.settings import with_origin
 from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
@@ -224,7 +225,7 @@ class Listener:
         setting = candidate.protocol.settings.get("rate_hz")
         if candidate.driver is None or setting is None or setting.origin == "given":
             return None
-        given = {name: known.value for name, known in candidate.protocol.settings.items() if known.origin == "given"}
+        given = with_origin(candidate.protocol.settings, "given")
         variant = {**candidate.variant, "rate_hz": rate_hz}
         try:
             protocol = candidate.driver.load_protocol({**given, **variant})

@@ -20,6 +20,7 @@ from imufield.acquire.formats.table_names import TIME, named_column
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener, usual_rate
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.protocol.settings import with_origin
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import dataclass, replace
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, median
@@ -287,7 +288,7 @@ class LineListener(Listener):
         if found is None or found == self._found or driver is None:
             return
         self._found = found
-        given = {name: setting.value for name, setting in known.items() if setting.origin == "given"}
+        given = with_origin(known, "given")
         new = {name: text for name, text in found.settings.items() if name not in given}
         protocol = load_protocol(driver.protocol, given, read={**driver.settings, **new})
         variant = {name: text for name, text in new.items() if protocol.settings[name].value != known[name].value}

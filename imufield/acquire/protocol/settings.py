@@ -98,6 +98,11 @@ def _read_rule(name: str, table: Table) -> SettingRule:
     return rule
 
 
+def with_origin(settings: Mapping[str, Setting], origin: Origin) -> dict[str, Value]:
+    """Return the values of the settings that come from there, by name."""
+    return {name: setting.value for name, setting in settings.items() if setting.origin == origin}
+
+
 def choose_settings(
     rules: Mapping[str, SettingRule], given: Mapping[str, object], read: Mapping[str, object], source: Source
 ) -> dict[str, Setting]:

@@ -28,8 +28,10 @@ _BRIDGED_S = 1.0  # A longer hole ends the stretch.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, however unsteady the clock.
 _USUAL = 0.9  # Share of the steps that are off by no more than the slack.
 _WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
-_COARSE = 1.02  # Of the middle step: so much longer is the mean of rounded times that it is no single loss at times.
+COARSE = 1.02
+"""Mean step over the middle one: of less, losses now and then are the reason."""
 _TICKS_OFF = 2  # A rounded time is off by less than a tick, and so are the ends, which tell the mean.
+_LONGEST_BEAT = 2  # Mean steps; a longer one has lost samples.
 _ONE_INTERVAL = 1.7  # Of the middle step: longer ones may hold a lost sample.
 _TURNS = 4  # With a fifth of the samples lost the interval settles in two.
 
@@ -57,9 +59,9 @@ def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tupl
     usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
     middle_s = float(median(usual_s))
     mean_s = float(usual_s.mean())
-    is_beat = mean_s > _COARSE * middle_s and np.ptp(np.cumsum(usual_s - mean_s)) < _TICKS_OFF * middle_s
+    is_beat = mean_s > COARSE * middle_s and np.ptp(np.cumsum(usual_s - mean_s)) < _TICKS_OFF * middle_s
     longest = float(usual_s.max()) / mean_s
-    if is_beat and longest < _TICKS_OFF:
+    if is_beat and longest < _LONGEST_BEAT:
         return known_s or mean_s, (longest - 1) / 2
     # The middle one itself is 17 ms where whole milliseconds at 60 Hz are 16 and 17.
     wholes = np.maximum(np.rint(usual_s / middle_s), 1)

@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise.allan import (
+    COARSE,
     AllanDeviation,
     AllanStream,
     EvenGrid,
@@ -25,7 +26,7 @@ from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.dataclass import dataclass, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
-from imufield.samples import AXES, FloatArray, Samples, SampleUnits
+from imufield.samples import AXES, FloatArray, Samples, SampleUnits, median
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -196,6 +197,7 @@ class NoiseStream:
         self._waiting: list[FloatArray] = []
         self._waiting_s = 0.0
         self._splits: list[str] = []
+        self._assumed: list[str] = []
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples.
@@ -221,6 +223,10 @@ class NoiseStream:
         if standing > _MOST_STANDING:
             raise RecordingError(sentence("noise.no_rate", share=standing, limit=_MOST_STANDING), Reason.BAD_DATA)
         self._grid = EvenGrid(*interval_and_slack(step_s, self._units.interval_s))
+        middle_s = float(median(step_s[step_s > 0]))
+        if self._grid.interval_s > COARSE * middle_s:
+            told = {"middle_ms": 1e3 * middle_s, "rate_hz": 1 / self._grid.interval_s}
+            self._assumed.append(sentence("noise.coarse", **told))
         self._averaged = max(round(1 / self._grid.interval_s), LEAST_AVERAGED)
         # An instrument without a gyroscope has NaN there all along.
         gyroscope = np.concatenate([block.gyroscope for block in self._first])[:_FIRST_SAMPLES]
@@ -264,7 +270,7 @@ class NoiseStream:
         axes: list[AxisNoise] = []
         for triad, unit in list((si if self.is_si else raw).items())[: best.stream.columns // 3]:
             axes += [_axis(f"{triad} {axis}", len(axes) + k, best, allan, unit=unit) for k, axis in enumerate(AXES)]
-        sentences = self._splits[:_SPLITS_NAMED]
+        sentences = [*self._assumed, *self._splits[:_SPLITS_NAMED]]
         if len(self._splits) > _SPLITS_NAMED:
             sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:

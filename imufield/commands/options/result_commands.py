@@ -269,7 +269,7 @@ class VerifyOptions:
         int | None,
         option(
             help="How many positions at a time are left out and predicted from the others (default: 4, or fewer where "
-            "fewer leave more positions than parameters); only for the session the parameters came from.",
+            "those left could not be calibrated from); only for the session the parameters came from.",
             low=1,
         ),
     ] = None

@@ -60,7 +60,7 @@ from imufield.samples import AXES, FloatArray
 NAMES = (
     *names_of("{} {}", scale=AXES, bias=AXES, angle=ANGLES, quadratic=AXES),
     *names_of("gyroscope {} {}", bias=AXES, scale=AXES, misalignment=MISALIGNMENTS),
-    *names_of("g-{} {}", sensitivity=PAIRS),
+    *(f"g-sensitivity {pair}" for pair in PAIRS),
 )
 """Of every gauge-free number, in the order of ``si_values``."""
 UNITS = {

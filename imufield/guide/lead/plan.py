@@ -1,7 +1,7 @@
 """The plan of a session: which positions are pending, measured, skipped or wanted again, and how near a hold must be to one.
 
-Nothing measured is erased. Which position helps most and comes first (``preferred``) is found by ``advice`` with ``next_best``,
-and whether the targets are met.
+Nothing measured is erased. Which position comes first (``preferred``) is found by ``advice`` with ``next_best``, and whether
+the targets are met.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Plan:
         self.doubted: set[int] = set()  # Told as contradicted by the others, and not settled since.
         self.asked_again: set[int] = set()  # Asked for once more because of that, each once.
         self.first: int | None = None  # Asked for before all others: where the unit is when the session begins.
-        self.preferred: int | None = None  # Asked for next instead of the proposed order: where a hold helps most.
+        self.preferred: int | None = None  # Asked for next instead of the proposed order: see ``next_best``.
         # Asked for once more at the end, as a check for drift; its measurement replaces nothing.
         self.revisiting: int | None = None
         self.revisited: Observation | None = None

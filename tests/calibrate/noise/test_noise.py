@@ -293,6 +293,8 @@ def test_coarse_and_unsteady_times_are_no_losses(rate_hz: float, tick_s: float, 
     times_s = samples.time_s + jitter / rate_hz * np.random.default_rng(4).standard_normal(60_000)
     samples.time_s[:] = tick_s * np.floor(np.sort(times_s) / tick_s + 1e-6)
     result, even = measure_noise([samples]), measure_noise([at_rest(rate_hz, 60_000)])
+    assert bool(told(result.sentences, "noise.coarse")) == (rate_hz in (800.0, 50.0, 400.0, 478.0))
+    assert not told(even.sentences, "noise.coarse")
     assert result.bridged < 0.005 * result.samples
     assert result.duration_s == pytest.approx(60_000 / rate_hz, rel=5e-3)
     found, expected = (np.array([axis.density.value for axis in each.axes]) for each in (result, even))
