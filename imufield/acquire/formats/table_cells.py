@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
-_DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})\b")  # Between dots, as in most of Europe.
-_YEAR_FIRST = re.compile(r"^(\d{4})[./](\d\d?)[./](\d\d?)\b")
+_DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})(?!\d)")  # Between dots, as in most of Europe.
+_YEAR_FIRST = re.compile(r"^(\d{4})[./](\d\d?)[./](\d\d?)(?!\d)")
 _ONE_DIGIT = re.compile(r"(?<![\d.,])\d(?!\d)")
 _QUOTED = re.compile(r'"([^"\n]*)"')
 # Three digits behind it may be thousands, but for those of 0,123.
@@ -68,7 +68,8 @@ def seconds_of_date(text: str) -> float:
         If it is none.
     """
     text = _YEAR_FIRST.sub(r"\1-\2-\3", _DAY_FIRST.sub(r"\3-\2-\1", text.strip()))
-    text = _ONE_DIGIT.sub(r"0\g<0>", text)
+    # But for days of a week of ISO 8601.
+    text = text if "W" in text else _ONE_DIGIT.sub(r"0\g<0>", text.replace("/", "-"))
     # A time of day counts from midnight; two numbers are minutes and seconds, as Excel shows them.
     if ":" in text[:3]:
         text = f"1970-01-01T{'00:' if text.count(':') == 1 else ''}{text}"

@@ -103,7 +103,10 @@ def unrolled(pieces: Iterable[FloatArray], meaning: Meaning) -> Iterator[FloatAr
             continue
         time, before = rows[:, place], np.append(last, rows[:-1, place])
         begins_anew = (time >= 0) & (time < _NEAR_ROLL) & (before > _ROLLED_AFTER - _NEAR_ROLL) & (before < _ROLLED_AFTER)
-        last, shift = float(time[-1]), rolled + _ROLLED_AFTER * begins_anew.cumsum()
+        # A row that comes late, from before the end.
+        is_late = (time > _ROLLED_AFTER - _NEAR_ROLL) & (time < _ROLLED_AFTER) & (before >= 0) & (before < _NEAR_ROLL)
+        turns = begins_anew.astype(np.int64) - is_late
+        last, shift = float(time[-1]), np.maximum(rolled + _ROLLED_AFTER * turns.cumsum(), 0.0)
         rolled = float(shift[-1])
         yield rows + np.where(np.arange(rows.shape[1]) == place, shift[:, None], 0.0) if rolled else rows
 

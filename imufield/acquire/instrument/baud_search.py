@@ -113,6 +113,8 @@ def driver_candidates(
     """Yield the ways to read one instrument: the usual one, then its variants."""
     known = load_protocol(driver.protocol).settings
     given = {key: value for key, value in settings.items() if key in known or not only_known}
+    # Of another driver nothing holds.
+    read = {key: value for key, value in (read or {}).items() if key in known}
     for variant in ({}, *(driver.variants if variants else ())):
         # What the user gave decides the form of the stream; other forms are not tried.
         if not given.keys() & variant.keys():

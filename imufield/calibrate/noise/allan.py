@@ -29,9 +29,7 @@ _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples, how
 _USUAL = 0.9  # Share of the steps that are off by no more than the slack.
 _WHOLE = 0.1  # Of an interval: steps that are off by less are steady.
 COARSE = 1.02
-"""Mean step over the middle one: of less, losses now and then are the reason."""
-_TICKS_OFF = 2  # A rounded time is off by less than a tick, and so are the ends, which tell the mean.
-_LONGEST_BEAT = 2  # Mean steps; a longer one has lost samples.
+"""Interval over the middle step: of more, times are coarse or unsteady."""
 _ONE_INTERVAL = 1.7  # Of the middle step: longer ones may hold a lost sample.
 _TURNS = 4  # With a fifth of the samples lost the interval settles in two.
 
@@ -54,15 +52,10 @@ def interval_and_slack(step_s: FloatArray, known_s: float | None = None) -> tupl
     An interval that is known is returned as it is.
 
     Times of whole milliseconds at 400 Hz have steps of 2 and 3 ms, whose median is no interval. Where all steps are whole
-    multiples of the median, the longer ones are losses, unless they come as evenly as at 800 Hz.
+    multiples of the median, the longer ones are losses.
     """
     usual_s = step_s[(step_s > 0) & (step_s <= _BRIDGED_INTERVALS * median(step_s))]
     middle_s = float(median(usual_s))
-    mean_s = float(usual_s.mean())
-    is_beat = mean_s > COARSE * middle_s and np.ptp(np.cumsum(usual_s - mean_s)) < _TICKS_OFF * middle_s
-    longest = float(usual_s.max()) / mean_s
-    if is_beat and longest < _LONGEST_BEAT:
-        return known_s or mean_s, (longest - 1) / 2
     # The middle one itself is 17 ms where whole milliseconds at 60 Hz are 16 and 17.
     wholes = np.maximum(np.rint(usual_s / middle_s), 1)
     if np.quantile(np.abs(usual_s / middle_s - wholes), _USUAL) < _WHOLE:

@@ -48,3 +48,11 @@ def test_a_counter_of_32_bits_that_began_anew_goes_on(tmp_path: Path, row: int, 
     assert len(pieces) > 2
     for rows in (read_tables([path]).rows, np.concatenate(pieces)):
         np.testing.assert_allclose(rows[:, 0] - rows[0, 0], TIME, atol=1e-9)
+
+
+def test_a_late_row_at_the_end_of_the_range_is_no_second_turn(tmp_path: Path) -> None:
+    time_us = (np.round(1e6 * (TIME - TIME[10])) + 2**32) % 2**32
+    time_us[[9, 10]] = time_us[[10, 9]]
+    with refused(RecordingError, Reason.BAD_DATA, key="table_file.time_back") as caught:
+        read_tables([write(tmp_path, text_of(time_us, ACCELEROMETER, header="micros ax ay az\n"))])
+    assert caught.value.values["before"] - caught.value.values["after"] == 10_000
