@@ -118,11 +118,11 @@ class Driver:
         given: Mapping[str, object] | None = None,
         *,
         messages: Iterable[Message] = (),
-        known: Mapping[str, object] | None = None,
+        read: Mapping[str, object] | None = None,
     ) -> Protocol:
         """Return the protocol with this instrument's settings, those its messages tell, and those given.
 
-        ``known`` are settings that it told earlier: they hold where the messages do not tell otherwise.
+        ``read`` are settings that it told earlier: they hold where the messages do not tell otherwise.
 
         Raises
         ------
@@ -131,8 +131,8 @@ class Driver:
         """
         from imufield.acquire.protocol.protocol import load_protocol
 
-        read = {**cls.settings, **(known or {}), **cls.read_settings(messages)}
-        return load_protocol(cls.protocol, given, read=read)
+        told = {**cls.settings, **(read or {}), **cls.read_settings(messages)}
+        return load_protocol(cls.protocol, given, read=told)
 
     @classmethod
     def read_settings(cls, messages: Iterable[Message]) -> dict[str, object]:  # noqa: ARG003  for drivers to use

@@ -37,7 +37,7 @@ def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     if found.centre_raw is not None:
         said |= {"raw_zero": sentence("still_units.raw_zero", centre=[round(each) for each in found.centre_raw.tolist()])}
     assumptions = table.assumptions
-    # A wrong unit makes gravity look small, and so do numbers in none, which it turns with the gyroscope nonetheless.
+    # Gravity looks small in a wrong unit, and in none; there it turns with the gyroscope nonetheless.
     if "accelerometer" in said or found.are_sure:
         assumptions = tuple(each for each in assumptions if getattr(each, "key", "") != "tables.no_gravity")
     guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}

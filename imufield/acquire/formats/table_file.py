@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.formats.ros_bags import is_bag, read_bag
 from imufield.acquire.formats.table_arrays import ArrayTable, array_kind, read_arrays
@@ -102,13 +103,19 @@ def unrolled(pieces: Iterable[FloatArray], meaning: Meaning) -> Iterator[FloatAr
             yield rows
             continue
         time, before = rows[:, place], np.append(last, rows[:-1, place])
-        begins_anew = (time >= 0) & (time < _NEAR_ROLL) & (before > _ROLLED_AFTER - _NEAR_ROLL) & (before < _ROLLED_AFTER)
-        # A row that comes late, from before the end.
-        is_late = (time > _ROLLED_AFTER - _NEAR_ROLL) & (time < _ROLLED_AFTER) & (before >= 0) & (before < _NEAR_ROLL)
-        turns = begins_anew.astype(np.int64) - is_late
+        # A row that comes late goes back over the end.
+        turns = (_is_begin(time) & _is_end(before)).astype(np.int64) - (_is_end(time) & _is_begin(before))
         last, shift = float(time[-1]), np.maximum(rolled + _ROLLED_AFTER * turns.cumsum(), 0.0)
         rolled = float(shift[-1])
         yield rows + np.where(np.arange(rows.shape[1]) == place, shift[:, None], 0.0) if rolled else rows
+
+
+def _is_begin(time: FloatArray) -> NDArray[np.bool_]:
+    return (time >= 0) & (time < _NEAR_ROLL)
+
+
+def _is_end(time: FloatArray) -> NDArray[np.bool_]:
+    return (time > _ROLLED_AFTER - _NEAR_ROLL) & (time < _ROLLED_AFTER)
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:

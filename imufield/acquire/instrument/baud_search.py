@@ -118,7 +118,7 @@ def driver_candidates(
     for variant in ({}, *(driver.variants if variants else ())):
         # What the user gave decides the form of the stream; other forms are not tried.
         if not given.keys() & variant.keys():
-            protocol = driver.load_protocol({**given, **variant}, known=read)
+            protocol = driver.load_protocol({**given, **variant}, read=read)
             yield Candidate(
                 name=driver.name, title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver, variant=variant
             )

@@ -180,7 +180,7 @@ def with_settings(
     if driver is None or not (set_rate or driver.read_settings(messages)):
         return protocol
     given, read = with_origin(protocol.settings, "given"), with_origin(protocol.settings, "read")
-    return driver.load_protocol({**given, **set_rate}, messages=messages, known=read)
+    return driver.load_protocol({**given, **set_rate}, messages=messages, read=read)
 
 
 def untried(driver: type[Driver] | None) -> list[str]:

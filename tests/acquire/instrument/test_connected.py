@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from imufield.acquire.instrument.baud_search import driver_candidates
 from imufield.acquire.instrument.connected import assumed, say_what_is_known
 from imufield.acquire.registry import load_driver
 
@@ -32,3 +33,10 @@ def test_what_an_instrument_says_of_itself_is_told_on_every_wire(driver: str) ->
     said.clear()
     say_what_is_known(kind, kind.load_protocol(), {}, said.append)
     assert not any(each.startswith("instrument") for each in said)
+
+
+@pytest.mark.parametrize(("driver", "range_g"), [("stim300", 30), ("text", None)])
+def test_what_was_read_before_holds_for_the_driver_that_has_it(driver: str, range_g: float | None) -> None:
+    (candidate,) = driver_candidates(load_driver(driver), {}, read={"accelerometer_range_g": "30"})
+    setting = candidate.protocol.settings.get("accelerometer_range_g")
+    assert (setting and (setting.value, setting.origin)) == (range_g and (range_g, "read"))
